@@ -7,7 +7,9 @@ from itertools import combinations
 
 import pytest
 
+from dream.evaluation.comparison import FAMILIES
 from dream.evaluation.suites import REEF_FAMILIES, SUITES, Case, family_of, suite_named
+from dream.sim.habitats import HABITATS
 from dream.sim.worlds import WORLDS
 
 EXPECTED = {
@@ -45,7 +47,9 @@ def test_letters_and_wrecks_are_spread_evenly() -> None:
 
 
 def test_every_world_has_a_family() -> None:
-    families = {*REEF_FAMILIES, "letter", "wreck", "pool", "flat"}
+    wide = {name.removeprefix("reef/") for name in HABITATS}
+    families = {*REEF_FAMILIES, "letter", "wreck", "pool", "flat", *wide}
+    assert set(FAMILIES) == {*families, "several", "other"}
     assert {family_of(world) for world in WORLDS} == families
     assert family_of("reef/string+1y1") == "string"
     assert {family_of(name) for name in ("wreck/1+wreck/2", "wreck/1+reef/S", "wreck/1+reef/S+1y1")} == {

@@ -8,6 +8,8 @@ import numpy.typing as npt
 import pytest
 
 from dream.protocol import DREAM_V1
+from dream.sim.files import world_hash
+from dream.sim.habitats import HABITATS
 from dream.sim.sampling import rotated
 from dream.sim.world import World
 from dream.sim.worlds import BUILDERS, WORLDS, make_world
@@ -45,8 +47,23 @@ def gap(a: npt.NDArray[np.float64], b: npt.NDArray[np.float64]) -> float:
 
 def test_every_name_of_the_protocol_page_has_a_world() -> None:
     reefs = [f"reef/{kind}" for kind in ("fringing", "string", "patch", "mixed", "L", "S", "O", "K", "E")]
-    assert set(WORLDS) == {*reefs, *(f"wreck/{k}" for k in range(1, 6)), "pool/arc", "flat/empty"}
+    wrecks = [f"wreck/{k}" for k in range(1, 6)]
+    assert set(WORLDS) == {*reefs, *wrecks, "pool/arc", "flat/empty", *HABITATS}
     assert tuple(BUILDERS) == WORLDS
+
+
+@pytest.mark.parametrize(
+    ("name", "seed", "digits"),
+    [
+        ("reef/string", 4, "90d9502b3d8c572f"),
+        ("reef/mixed", 3, "9779918a0c680b97"),
+        ("reef/K", 2, "3844eaa2fe6b5cb8"),
+        ("wreck/4", 2, "dc4dab90c1849c42"),
+        ("wreck/2+reef/mixed", 3, "2e2af325ace8cad4"),
+    ],
+)
+def test_worlds_of_square_arenas_are_what_they_were(name: str, seed: int, digits: str) -> None:
+    assert world_hash(made(name, seed))[:16] == digits
 
 
 def test_an_unknown_world_is_answered_with_the_nearest_name() -> None:

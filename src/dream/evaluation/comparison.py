@@ -27,6 +27,7 @@ from dream.evaluation.statistics import (
 from dream.evaluation.suites import REEF_FAMILIES, Case, family_of
 from dream.planning import PLANNERS
 from dream.planning.vlm import stands_in
+from dream.sim.habitats import HABITATS
 
 if TYPE_CHECKING:
     from dream.evaluation.oracle.bounds import Limit, OracleBounds
@@ -37,13 +38,24 @@ FAMILIES = {
     "patch": "Patch reefs",
     "mixed": "Mixed reefs",
     "letter": "Letter reefs",
+    "mound": "Mounds",
+    "ledge": "Ledges",
+    "carpet": "Carpets",
+    "tiny": "Tiny patches",
+    "dense": "Dense beds",
+    "rocks": "Rocks",
+    "holes": "Reefs with holes",
+    "border": "Reefs at a border",
+    "walls": "Reefs cut by walls",
+    "two": "Two habitats",
+    "wide": "Wide reefs",
     "wreck": "Wrecks",
     "several": "Several structures",
     "pool": "Tank",
     "flat": "Empty ground",
     "other": "Other worlds",
 }
-REEFS = (*REEF_FAMILIES, "letter")
+REEFS = (*REEF_FAMILIES, "letter", *(name.removeprefix("reef/") for name in HABITATS))
 
 BY_BELIEF = 0.1
 """Share of a planner's questions without a reply that counts from which on its rows are marked."""

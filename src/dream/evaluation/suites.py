@@ -10,6 +10,7 @@ from pathlib import Path
 
 from dream.names import look_up
 from dream.sim.files import load_world, world_hash
+from dream.sim.habitats import HABITATS
 from dream.sim.world import World
 from dream.sim.worlds import check_named, is_saved, make_world, origin, saved_world
 
@@ -253,6 +254,8 @@ def seeds_of(text: str, what: str) -> range:
 def family_of(world: str) -> str:
     """The family that a world is counted with: one of `REEF_FAMILIES`, letter, wreck, several, pool or flat.
 
+    One of `HABITATS` is a family of its own, called as it is behind `reef/`.
+
     A reef some years on, `reef/string+1y1`, is of the family that it was of.
 
     Raises:
@@ -265,6 +268,6 @@ def family_of(world: str) -> str:
         return kind
     if kind == "reef" and name in LETTERS:
         return "letter"
-    if kind == "reef" and name in REEF_FAMILIES:
+    if kind == "reef" and (name in REEF_FAMILIES or f"reef/{name}" in HABITATS):
         return name
     raise ValueError(f'no family for the world "{world}". See dream worlds')

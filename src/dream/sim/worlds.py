@@ -227,7 +227,8 @@ def structures_in(name: str) -> tuple[str, ...]:
     """
     parts = name.split("+")
     wrecks = [part for part in parts if part in BUILDERS and part.startswith("wreck/")]
-    reefs = [part for part in parts if part in BUILDERS and part.startswith("reef/")]
+    # Those of HABITATS are of another protocol than the wrecks.
+    reefs = [part for part in parts if part in BUILDERS and part.startswith("reef/") and part not in HABITATS]
     if not (wrecks and 2 <= len(parts) <= MOST_STRUCTURES and len(reefs) <= 1 and parts == wrecks + reefs):
         return ()
     return tuple(parts)

@@ -5,15 +5,17 @@ Each is a recipe whose ranges are published; docs/habitats.md has them all, with
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
 from dream.geometry import Bounds
 from dream.sim.habitats import beds
-from dream.sim.habitats.arena import Arena, arena_in
+from dream.sim.habitats.arena import Arena, NoRoomError, arena_in
 from dream.sim.habitats.beds import beds_in, borders_in, holed
 from dream.sim.habitats.building import world_of
 from dream.sim.habitats.growth import FEWEST, Habitat
@@ -25,6 +27,7 @@ from dream.sim.sampling import index, uniform
 from dream.sim.world import World
 
 Random = np.random.Generator
+logger = logging.getLogger(__name__)
 
 BETWEEN = 4.0
 """Metres between the parts of an arena that two habitats lie in."""
@@ -34,40 +37,34 @@ SPLIT = 0.4, 0.6
 """Share of an arena's longer side that the first of two has."""
 
 
-def mound(rng: Random) -> World:
+def _mound(arena: Arena, rng: Random) -> World:
     """One to five mounds of old shell, overgrown all over."""
-    arena = arena_in(rng)
     return world_of(arena, [mounds_in(arena, arena.bounds, rng)], rng)
 
 
-def ledge(rng: Random) -> World:
+def _ledge(arena: Arena, rng: Random) -> World:
     """Steps of the bed, with oysters on and along their edges."""
-    arena = arena_in(rng)
     return world_of(arena, [ledges_in(arena, arena.bounds, rng)], rng)
 
 
-def carpet(rng: Random) -> World:
+def _carpet(arena: Arena, rng: Random) -> World:
     """Single clumps strewn over large patches."""
-    arena = arena_in(rng)
-    return world_of(arena, [_carpet(arena, arena.bounds, beds.SPARSE, rng)], rng)
+    return world_of(arena, [_carpet_in(arena, arena.bounds, rng)], rng)
 
 
-def tiny(rng: Random) -> World:
+def _tiny(arena: Arena, rng: Random) -> World:
     """Small groups far apart."""
-    arena = arena_in(rng)
     return world_of(arena, [small_groups_in(arena.bounds, FEWEST, rng)], rng)
 
 
-def dense(rng: Random) -> World:
+def _dense(arena: Arena, rng: Random) -> World:
     """A bed that covers most of the arena."""
-    arena = arena_in(rng)
     bed = beds_in(arena, arena.bounds, beds.DENSE, (4.0, 9.0), beds.BED, beds.HEIGHT, 1.5, rng)
     return world_of(arena, [bed], rng)
 
 
-def rocks(rng: Random) -> World:
+def _rocks(arena: Arena, rng: Random) -> World:
     """Oysters on rocks and, in one world of two, on a wall."""
-    arena = arena_in(rng)
     walls = [walls_in(arena, (1, 1), rng)] if rng.random() < 0.5 else []
     taken = walls[0].feet() if walls else np.empty((0, 3))
     stones = rocks_in(arena, taken, rng)
@@ -75,22 +72,19 @@ def rocks(rng: Random) -> World:
     return world_of(arena, [RockFaces(first)], rng, [stones, *walls], strewn=False)
 
 
-def holes(rng: Random) -> World:
+def _holes(arena: Arena, rng: Random) -> World:
     """Large reefs with bare holes in them."""
-    arena = arena_in(rng)
     bed = beds_in(arena, arena.bounds, beds.LARGE, (9.0, 14.0), beds.BED, beds.HEIGHT, 1.5, rng)
     return world_of(arena, [holed(bed, arena.bounds, rng)], rng)
 
 
-def border(rng: Random) -> World:
+def _border(arena: Arena, rng: Random) -> World:
     """Reefs along the border, cut by it."""
-    arena = arena_in(rng)
     return world_of(arena, [borders_in(arena, rng)], rng)
 
 
-def walls(rng: Random) -> World:
+def _walls(arena: Arena, rng: Random) -> World:
     """Beds that ridges of rock, or quays, cut."""
-    arena = arena_in(rng)
     while True:
         found = walls_in(arena, WALLS, rng)
         bed = beds_in(arena, arena.bounds, beds.CUT, (6.0, 11.0), beds.BED, beds.HEIGHT, 1.5, rng)
@@ -100,9 +94,8 @@ def walls(rng: Random) -> World:
             return world_of(arena, [replace(bed, lines=found.segments(beside=0.2))], rng, [found])
 
 
-def two(rng: Random) -> World:
+def _two(arena: Arena, rng: Random) -> World:
     """A mound or a ledge in one part of the arena, a carpet or small groups in the other."""
-    arena = arena_in(rng)
     box = arena.bounds
     at = uniform(rng, *SPLIT)
     if box.width > box.depth:
@@ -122,26 +115,46 @@ def two(rng: Random) -> World:
         steep = ledges_in(arena, parts[0], rng, across + math.pi * index(rng, 2))
     flat: Habitat
     if rng.random() < 0.5:
-        flat = _carpet(arena, parts[1], beds.SPARSE, rng)
+        flat = _carpet_in(arena, parts[1], rng)
     else:
         flat = small_groups_in(parts[1], FEWEST // 2, rng)
     return world_of(arena, [steep, flat], rng)
 
 
-def wide(rng: Random) -> World:
+def _wide(arena: Arena, rng: Random) -> World:
     """A reef of dream-v1's shapes."""
-    arena = arena_in(rng)
     reef = strokes_in(arena, rng)
     near = np.concatenate([stroke.line for stroke in reef.bed.strokes])
     return world_of(arena, [reef], rng, near=near)
 
 
-def _carpet(arena: Arena, region: Bounds, cover: tuple[float, float], rng: Random) -> Habitat:
-    return beds_in(arena, region, cover, (9.0, 14.0), beds.CARPET, (0.0, 0.0), 3.0, rng, bare=0.3)
+def _carpet_in(arena: Arena, region: Bounds, rng: Random) -> Habitat:
+    return beds_in(arena, region, beds.SPARSE, (9.0, 14.0), beds.CARPET, (0.0, 0.0), 3.0, rng, bare=0.3)
+
+
+def _in_some_arena(family: Callable[[Arena, Random], World], rng: Random) -> World:
+    """A world of that family in the first arena that has room for it."""
+    while True:
+        try:
+            return family(arena_in(rng), rng)
+        except NoRoomError as none:
+            logger.debug("%s", none)
 
 
 HABITATS: Mapping[str, Callable[[Random], World]] = {
-    f"reef/{family.__name__}": family
-    for family in (mound, ledge, carpet, tiny, dense, rocks, holes, border, walls, two, wide)
+    f"reef/{name}": partial(_in_some_arena, family)
+    for name, family in {
+        "mound": _mound,
+        "ledge": _ledge,
+        "carpet": _carpet,
+        "tiny": _tiny,
+        "dense": _dense,
+        "rocks": _rocks,
+        "holes": _holes,
+        "border": _border,
+        "walls": _walls,
+        "two": _two,
+        "wide": _wide,
+    }.items()
 }
 """What makes each of them from a random generator."""

@@ -15,9 +15,8 @@ from dream.sim.water import Water, water_of
 SIDES = 30.0, 100.0
 """Metres: the least and the greatest side of an arena."""
 VISIBILITY = 3.0, 15.0
-"""Metres at which a Secchi disc vanishes, least and greatest. Bays with oysters lie at the murky end; of the
-82 means that Devlin et al. (2008), Estuar. Coast. Shelf Sci. 79: 429-439, measured around the United Kingdom,
-transitional waters are murkier still and offshore ones reach the clear end."""
+"""Metres at which a Secchi disc vanishes, least and greatest: from water in which a survey by camera is only
+just worth while, to the clearest that `dream.sim.water` has but for a tank. Our choice."""
 USUAL_STEPS = 300
 """Steps that a mission may take in the usual arena, ..."""
 USUAL_AREA = 45.0 * 45.0
@@ -27,6 +26,10 @@ USUAL_RANGE = 7.0
 MOST_STEPS = 1200.0
 """A BlueROV2 dives for some two hours on its battery, and a step takes it four to six seconds. What would
 need more steps than that, no operator orders as one mission."""
+
+
+class NoRoomError(ValueError):
+    """An arena, or where its starts lie, has no room for what a recipe asks for: draw another."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +43,7 @@ class Arena:
 
 
 def steps_for(bounds: Bounds, water: Water) -> float:
-    """Steps that it takes to survey an arena: in proportion to its area, and against how far labels are told."""
+    """Steps to survey an arena: in proportion to its area, and to how short labels are told."""
     assert DREAM_V2_DRAFT.space is not None
     told = DREAM_V2_DRAFT.space.label_lengths * water.attenuation_length
     return USUAL_STEPS * bounds.area / USUAL_AREA * USUAL_RANGE / min(USUAL_RANGE, told)

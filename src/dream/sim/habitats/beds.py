@@ -1,11 +1,11 @@
 """Reefs that lie flat on the bed: beds that cover most of it, with holes in them, along a border; carpets.
 
-How much of a ground they cover: of the public oyster grounds of the James River 17 % were consolidated reef and
-47 % shell with mud or sand, some 65 % in all (Haven and Whitcomb 1983, J. Shellfish Res. 3: 141-151). How high
-old shell lies: reefs that were built 8 to 12 cm and 25 to 45 cm high (Schulte et al. 2009, Science 325:
-1124-1128). How dense they are: a bed of flat oysters is what has 5 to the square metre or more (OSPAR), a clump
-is 5 to 10 oysters (EUNIS MB243), and grounds that are harvested keep 2 to 11 (Schulte and others, as told by
-VIMS in 2009).
+How much of a ground they cover: of the public oyster grounds of the James River 17.1 % were consolidated
+reef and 47.5 % shell with mud or sand (Haven and Whitcomb 1983, J. Shellfish Res. 3: 141-151). How high old
+shell lies: reefs that were built 8 to 12 cm and 25 to 45 cm high (Schulte et al. 2009, Science 325:
+1124-1128). How dense they are: a bed of flat oysters is what has 5 to the square metre or more (OSPAR), a
+clump is 5 to 10 oysters (EUNIS MB243), and grounds that are harvested keep 2 to 11 to the square metre
+(VIMS, of the same study).
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ from dream.sim.terrain import APRON, SPACING, Noise, smoothstep
 BED = 0.5, 13.0
 """Clumps to the square metre of a bed: 5 flat oysters at 10 to a clump, up to what dream-v1's reefs have."""
 CARPET = 0.2, 1.0
-"""Clumps to the square metre of a carpet: 1 to 10 oysters, as on harvested ground. In Strangford Lough the next
-oyster lay within 1.5 m where flat oysters still bred well (Guy et al. 2018, J. Mar. Biol. Assoc. UK 99:
-587-593), which is about 0.2 clumps to the square metre."""
+"""Clumps to the square metre of a carpet: 1 to 10 oysters, as on harvested ground. Flat oysters of Strangford
+Lough breed well where the next lies within 1.5 m (Guy et al. 2018, doi 10.1017/S0025315418000395): with 0.2
+clumps to the square metre strewn at random, the next is 1.1 m off on average."""
 HEIGHT = 0.08, 0.45
 """Metres that old shell raises a bed."""
 DENSE = 0.52, 0.7
@@ -38,16 +38,18 @@ LARGE = 0.35, 0.6
 CUT = 0.2, 0.45
 """Likewise reefs that walls cut."""
 HOLE = 2.0, 6.0
-"""Metres across: bare holes. Our choice of what is between the bare spots of a crust and another patch; of such
-gaps Hitzegrad et al. (2022, Front. Mar. Sci. 9: 808018) make the classes in which patches and garlands of
-oysters leave the bed bare."""
+"""Metres across: bare holes. Our choice, between the bare spots of a crust and the gaps between two reefs; we
+found no measured sizes."""
+RAGGED = 0.1
+"""Share by which a hole is wider here, narrower there."""
 HOLE_EVERY = 45.0, 120.0
 """Square metres of reef to one hole."""
 RIM = 1.5
 """Least metres of reef between two holes."""
 BORDERS = 1, 3
 WIDTH = 3.0, 9.0
-"""Metres that a reef along a border reaches into the arena where it is widest."""
+"""Metres that a reef along a border reaches into the arena where it is widest: our choice, a string or fringe
+of dream-v1 or half a large patch."""
 FULL = 0.25
 """Of the field's unit: from the edge of a bed to its full density."""
 
@@ -83,8 +85,9 @@ class Beds:
             np.minimum(y - self.limit.y_min, self.limit.y_max - y),
         )
         share[inner < 0.0] = 0.0
-        # A hole is as ragged as the reef's own outline.
-        ragged = np.square(1.0 + 0.15 * self.grain.at(x, y)) if len(self.holes) else np.ones_like(share)
+        ragged = np.ones_like(share)
+        if len(self.holes):
+            ragged = np.square(1.0 + RAGGED * np.clip(self.grain.at(x, y), -1.0, 1.0))
         for east, north, radius in self.holes:
             share[np.square(x - east) + np.square(y - north) < radius * radius * ragged] = 0.0
         for ax, ay, bx, by, bare in self.lines:
@@ -168,8 +171,8 @@ def beds_in(
 
 def _leveled(beds: Beds, region: Bounds, cover: float) -> Beds:
     """With its level where that share of the region lies higher."""
-    x = region.x_min + (np.arange(round(region.width / SPACING)) + 0.5) * SPACING
-    y = region.y_min + (np.arange(round(region.depth / SPACING)) + 0.5) * SPACING
+    x = region.x_min + (np.arange(round(region.width / SPACING), dtype=np.float64) + 0.5) * SPACING
+    y = region.y_min + (np.arange(round(region.depth / SPACING), dtype=np.float64) + 0.5) * SPACING
     values = np.sort(beds.value(x[None, :], y[:, None]), axis=None)
     level = float(quantised(values[int((1.0 - cover) * (len(values) - 1))], 1_000_000))
     return replace(beds, level=level)
@@ -187,7 +190,7 @@ def holed(beds: Beds, bounds: Bounds, rng: np.random.Generator) -> Beds:
         row, col = squares[int(rng.random() * len(squares))]
         x = bounds.x_min + (col + 0.5) * SPACING
         y = bounds.y_min + (row + 0.5) * SPACING
-        radius = 0.5 * uniform(rng, HOLE[0] / 0.9, HOLE[1] / 1.1)
+        radius = 0.5 * uniform(rng, HOLE[0] / (1.0 - RAGGED), HOLE[1] / (1.0 + RAGGED))
         apart = np.sqrt(np.square(found[:, 0] - x) + np.square(found[:, 1] - y)) - found[:, 2] - radius
         if (apart >= RIM).all() and _surrounded(label, row, col, radius + 0.75):
             found = np.concatenate([found, quantised([[x, y, radius]], 1000)])

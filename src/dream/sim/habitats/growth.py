@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dream.geometry import Bounds
-from dream.sim.habitats.arena import log_uniform
+from dream.sim.habitats.arena import NoRoomError, log_uniform
 from dream.sim.meshes import clump
 from dream.sim.reefs import PITCH, VARIANTS, places_in, renumbered
 from dream.sim.sampling import (
@@ -132,8 +132,8 @@ def islands(cover: Cover, bounds: Bounds, least: float) -> IntpArray:
     from scipy import ndimage
 
     cols, rows = (round(side / SPACING) for side in (bounds.width, bounds.depth))
-    x = bounds.x_min + (np.arange(cols) + 0.5) * SPACING
-    y = bounds.y_min + (np.arange(rows) + 0.5) * SPACING
+    x = bounds.x_min + (np.arange(cols, dtype=np.float64) + 0.5) * SPACING
+    y = bounds.y_min + (np.arange(rows, dtype=np.float64) + 0.5) * SPACING
     found, _ = ndimage.label(cover.share(x[None, :], y[:, None]) > 0.0, structure=np.ones((3, 3)))
     label = np.asarray(found, np.intp)
     for number, box in enumerate(ndimage.find_objects(label), start=1):
@@ -177,7 +177,8 @@ def spread(
     grown = grown[~_within(bottom.bare, x[grown], y[grown])]
     x, y, luck, patch = x[grown], y[grown], luck[grown], patch[grown]
     share = cover.share(x, y)
-    x, y, luck, patch, share = (each[share > 0.0] for each in (x, y, luck, patch, share))
+    within = share > 0.0
+    x, y, luck, patch, share = x[within], y[within], luck[within], patch[within], share[within]
     normals = bottom.normals(x, y)
     area = float((PITCH * PITCH / normals[:, 2]).sum())
     density = density_in(published, area, most, rng)
@@ -201,11 +202,11 @@ def density_in(published: tuple[float, float], area: float, most: int, rng: np.r
         rng: Source of it.
 
     Raises:
-        ValueError: No published density gives so few or so many: the recipe has too much or too little area.
+        NoRoomError: No published density gives so few or so many.
     """
     low, high = max(published[0], SPARE * FEWEST / area), min(published[1], most / area)
     if low > high:
-        raise ValueError(
+        raise NoRoomError(
             f"density: expected {published[0]:g} to {published[1]:g} clumps to the square metre to give "
             f"{FEWEST} to {most} on {area:.0f} m²"
         )

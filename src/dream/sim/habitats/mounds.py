@@ -1,12 +1,12 @@
 """Reefs that rise: mounds of old shell, and ledges of the bed.
 
-Mounds. Subtidal reefs of eastern oysters once stood metres over the bed: Wreck Shoal grew almost 1.5 m between
-1550 and 1850 (DeAlteris 1988, Estuaries 11: 240-249); Lenihan (1999, Ecol. Monogr. 69: 251-275) worked on reefs
-of 1 and 2 m; mounds that are built today are some 0.6 m high (Pollack et al. 2024, Front. Mar. Sci. 11:
-1385866). Loose shell lies no steeper than it was heaped, some 35°.
+Mounds. Subtidal reefs of eastern oysters once stood metres over the bed: Wreck Shoal grew by almost 1.5 m
+between 1550 and 1850 (DeAlteris 1988, Estuaries 11: 240-249); Lenihan (1999, Ecol. Monogr. 69: 251-275)
+built reefs of 1 and 2 m; mounds that are built today are some 0.6 m high (Pollack et al. 2024, Front. Mar.
+Sci. 11: 1385866). Loose shell lies no steeper than it was heaped, some 35°.
 
 Ledges. Where rock crops out, the bed steps: at Gray's Reef by up to 6 to 8 ft, 1.8 to 2.4 m, over sand (NOAA
-2009, weekly news of June). Oysters keep to the edge, where the water moves and no silt stays.
+Ocean Service, June 2009). Oysters keep to the edge, where the water moves and no silt stays.
 """
 
 from __future__ import annotations
@@ -18,16 +18,20 @@ import numpy as np
 
 from dream.geometry import Bounds
 from dream.sim.boulders import CLEAR
-from dream.sim.habitats.arena import Arena
+from dream.sim.habitats.arena import Arena, NoRoomError
 from dream.sim.habitats.growth import Bottom, Crust, Places, islands, spread
 from dream.sim.sampling import Float64Array, between, direction, uniform, uniforms
 from dream.sim.terrain import APRON, SPACING, Noise, smoothstep
 
 TRIES = 3000
+"""Places that are looked at for mounds, ..."""
+STEP_TRIES = 200
+"""... and lines for ledges."""
 DENSITY = 2.0, 13.0
-"""Clumps to the square metre: from 15 oysters, the least that is called a restored reef (Oyster Metrics Workgroup
-2011), at 7.5 to a clump (EUNIS MB243 has 5 to 10), up to what dream-v1's reefs have. The high reefs of the Great
-Wicomico had 250 to 1,000 oysters in their best years (Schulte et al. 2009, Science 325: 1124-1128)."""
+"""Clumps to the square metre: from 15 oysters, the least that is called a restored reef (Oyster Metrics
+Workgroup 2011), at 7.5 to a clump (EUNIS MB243 has 5 to 10), up to what dream-v1's reefs have. High reefs of
+the Great Wicomico had 1,000 oysters in their best year, low ones 250 (Schulte et al. 2009, Science 325:
+1124-1128)."""
 LEAST_AREA = 45.0
 """Square metres of the bed on which oysters grow along ledges, so that they are a world's fewest."""
 MOST_AREA = 1400.0
@@ -130,7 +134,7 @@ def mounds_in(arena: Arena, region: Bounds, rng: np.random.Generator) -> Mounds:
         if len(found) == count:
             break
     if not found:
-        raise ValueError(f"mounds: expected room for one in {region.width:g} x {region.depth:g} m, got none")
+        raise NoRoomError(f"mounds: expected room for one in {region.width:g} x {region.depth:g} m, got none")
     wide_box = arena.bounds.widened(APRON)
     return Mounds(tuple(found), Noise.over(wide_box, 2.5, rng), Crust.over(wide_box, 0.03, rng))
 
@@ -181,7 +185,7 @@ class Ledges:
     def above(self, x: Float64Array, y: Float64Array) -> Float64Array:
         """Metres up from the origin, were all edges straight."""
         c, s = direction(self.across)
-        return c * x + s * y + self.sway * self.bend.at(x, y)
+        return np.asarray(c * x + s * y + self.sway * self.bend.at(x, y))
 
     def share(self, x: Float64Array, y: Float64Array) -> Float64Array:
         """1 at an edge, 0 beyond the band above it and its foot, and where a stretch is bare."""
@@ -229,12 +233,12 @@ def ledges_in(arena: Arena, region: Bounds, rng: np.random.Generator, across: fl
     count = between(rng, *LEDGES)
     starts = np.array([(start.x, start.y) for start in arena.starts])
     middle = 0.5 * np.array([region.x_min + region.x_max, region.y_min + region.y_max])
-    for tries in range(TRIES):
+    for tries in range(STEP_TRIES):
         way = uniform(rng, 0.0, 2.0 * math.pi) if across is None else across
         c, s = direction(way)
         # So far from the middle that an edge still has a good part of the region on either side.
         room = 0.5 * (abs(c) * region.width + abs(s) * region.depth) - 4.0
-        fit = max(count - tries // 500, 1)
+        fit = max(count - tries // 50, 1)
         edges = np.sort(c * middle[0] + s * middle[1] + uniforms(rng, -room, room, fit))
         ledges = Ledges(
             way, tuple(edges.round(3).tolist()), low, high, width, band, bend, sway, tall, stretches, crust
@@ -245,4 +249,4 @@ def ledges_in(arena: Arena, region: Bounds, rng: np.random.Generator, across: fl
             continue
         if np.count_nonzero(islands(ledges, region, ledges.group_radius)) * SPACING * SPACING >= LEAST_AREA:
             return ledges
-    raise ValueError(f"ledges: expected one that leaves {len(starts)} starts free, got none")
+    raise NoRoomError(f"ledges: expected one that leaves all starts free in {STEP_TRIES} tries, got none")

@@ -1,9 +1,9 @@
 """Rocks, ridges and quays: oysters on their tops and on their vertical sides, or reefs that they cut.
 
-Flat oysters make small reefs on rocky outcrops at 10 to 20 m (EUNIS MB243); seawalls in Sydney Harbour have 14
-to 56 % of their surface under rock oysters (Strain et al. 2020, PLoS ONE 15: e0230807). Where rock is called a
-reef of high profile, it rises by up to 4 m over 10 m (SeaMap Tasmania). What is built for oysters off South
-Australia are some 150 low ridges of limestone on 20 ha in 10 m of water (Windara).
+Flat oysters make small reefs on rocky outcrops at 10 to 20 m (EUNIS MB243); seawalls in Sydney Harbour have
+14 to 56 % of their surface under rock oysters (Strain et al. 2020, PLoS ONE 15: e0230807). A rocky reef of
+high profile rises by up to 4 m over 10 m (SeaMap Tasmania). What is built for oysters off South Australia
+are some 150 low ridges of limestone on 20 ha in 10 m of water (Windara).
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 from dream.geometry import Bounds
 from dream.sim import boulders
 from dream.sim.boulders import CLEAR, Rock
-from dream.sim.habitats.arena import USUAL_AREA, Arena
+from dream.sim.habitats.arena import USUAL_AREA, Arena, NoRoomError
 from dream.sim.habitats.building import Stands, clear_of
 from dream.sim.habitats.growth import Bottom, IntpArray, Places, density_in, pieces
 from dream.sim.meshes import mesh
@@ -63,7 +63,7 @@ EVERY = 14.0, 30.0
 WALLS_APART = 7.0
 STATION = 1.0
 """Metres between the cross-sections of a wall."""
-TRIES = 4000
+TRIES = 2000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -173,7 +173,7 @@ class Walls:
 
 
 def walls_in(arena: Arena, number: tuple[int, int], rng: np.random.Generator) -> Walls:
-    """Walls across an arena from side to side, beside each other, each with one gap or more; off all starts."""
+    """Walls from side to side of an arena, beside each other and off all starts, each with a gap or more."""
     box = arena.bounds
     count = between(rng, *number)
     for tries in range(TRIES):
@@ -181,13 +181,13 @@ def walls_in(arena: Arena, number: tuple[int, int], rng: np.random.Generator) ->
         along, across = direction(turn), direction(turn + 0.5 * math.pi)
         room = 0.5 * (abs(across[0]) * box.width + abs(across[1]) * box.depth) - 5.0
         # Where many do not fit, fewer stand.
-        offsets = np.sort(uniforms(rng, -room, room, max(count - tries // 400, 1)))
+        offsets = np.sort(uniforms(rng, -room, room, max(count - tries // 200, 1)))
         if len(offsets) > 1 and np.diff(offsets).min() < WALLS_APART:
             continue
         walls = [wall for offset in offsets for wall in _across(box, offset * across, along, rng)]
         if walls and _off_starts(arena, walls):
             return Walls(tuple(walls))
-    raise ValueError(f"walls: expected one that leaves all starts free in {TRIES} tries, got none")
+    raise NoRoomError(f"walls: expected one that leaves all starts free in {TRIES} tries, got none")
 
 
 def _across(box: Bounds, through: Float64Array, along: Float64Array, rng: np.random.Generator) -> list[Wall]:
@@ -248,10 +248,10 @@ def _wall(wall: Wall, seabed: Terrain, rng: np.random.Generator) -> tuple[Mesh, 
     points = np.stack([x[:, None] + away * side[0], y[:, None] + away * side[1], z], axis=-1)
     a = np.arange(count - 1)[:, None] * 6 + np.arange(6)
     b = np.arange(count - 1)[:, None] * 6 + (np.arange(6) + 1) % 6
-    quads = np.stack([a, a + 6, b + 6, b], axis=-1).reshape(-1, 4)
+    quads = np.stack([a, b, b + 6, a + 6], axis=-1).reshape(-1, 4)
     faces = [quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]]
     fan = np.array([(0, k + 1, k + 2) for k in range(4)])
-    faces += [fan, fan[:, ::-1] + 6 * (count - 1)]
+    faces += [fan[:, ::-1], fan + 6 * (count - 1)]
     grey = np.array([124.0, 122.0, 114.0]) if wall.built else np.array([98.0, 94.0, 86.0])
     shade = uniforms(rng, 0.85, 1.12, (count * 6, 1))
     vertices = quantised(points.reshape(-1, 3), MILLIMETRE)

@@ -1,8 +1,8 @@
 """Small groups far apart: what is left of a reef, or what begins one.
 
-Oysters that were left alone in Strangford Lough begin as heaps of a few square metres and less (Smyth et al.
-2020, J. Sea Res. 162: 101927), and what divers find of *Ostrea* on rocky outcrops are single clumps of 5 to 10
-oysters and small reefs of such (EUNIS MB243).
+What divers find of *Ostrea* on rocky outcrops are clumps of 5 to 10 oysters and small reefs of such (EUNIS
+MB243); in Strangford Lough oysters that settle on each other have begun to make small heaps (Smyth et al.
+2020, doi 10.1016/j.seares.2020.101927). How wide such groups are is our choice.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dream.geometry import Bounds
-from dream.sim.habitats.growth import FEWEST, SLACK, Bottom, Places
+from dream.sim.habitats.growth import SLACK, SPARE, Bottom, Places
 from dream.sim.reefs import places_in
 from dream.sim.sampling import MILLIMETRE, Float64Array, between, length, quantised, uniform, uniforms
 
@@ -76,25 +76,21 @@ def small_groups_in(region: Bounds, fewest: int, rng: np.random.Generator) -> Sm
         fewest: Clumps that they have together, at least.
         rng: Source of number, size and place.
     """
-    while True:
-        radii = quantised(uniforms(rng, *RADIUS, between(rng, *GROUPS)), MILLIMETRE)
-        area = float(math.pi * np.square(radii).sum())
-        least = max(DENSITY[0], 1.1 * fewest / area)
-        if least < DENSITY[1]:
-            break
-    middles: list[Float64Array] = []
     inner = region.widened(-1.5)
     low, high = np.array([inner.x_min, inner.y_min]), np.array([inner.x_max, inner.y_max])
-    while len(middles) < len(radii):
-        tries = low + (high - low) * rng.random((TRIES, 2))
-        if middles:
-            gaps = np.array([length(np.array(middles) - place).min() for place in tries])
+    while True:
+        radii = quantised(uniforms(rng, *RADIUS, between(rng, *GROUPS)), MILLIMETRE)
+        least = max(DENSITY[0], SPARE * fewest / float(math.pi * np.square(radii).sum()))
+        if least > DENSITY[1]:
+            continue
+        middles = low + (high - low) * rng.random((1, 2))
+        while len(middles) < len(radii):
+            tries = low + (high - low) * rng.random((TRIES, 2))
+            gaps = np.array([length(middles - place).min() for place in tries])
             # Ten metres are as far as any.
             best = int(np.argmax(np.minimum(gaps, 10.0)))
             if gaps[best] < APART:
-                radii = radii[: len(middles)] if len(middles) >= GROUPS[0] else radii
-                continue
-            middles.append(tries[best])
+                break
+            middles = np.concatenate([middles, tries[best : best + 1]])
         else:
-            middles.append(tries[0])
-    return SmallGroups(quantised(np.array(middles), MILLIMETRE), radii, uniform(rng, least, DENSITY[1]))
+            return SmallGroups(quantised(middles, MILLIMETRE), radii, uniform(rng, least, DENSITY[1]))
