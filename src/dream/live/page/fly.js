@@ -46,15 +46,29 @@ const CONTROLS = [
   { keys: ["a", "arrowleft"], group: "turn", word: "left", act: (step, most) => (step.turn = turned(step.turn, 1, most ? 90 : 0)) },
   { keys: ["d", "arrowright"], group: "turn", word: "right", act: (step, most) => (step.turn = turned(step.turn, -1, most ? 90 : 0)) },
   { keys: ["w", "arrowup"], group: "ahead", word: "more", act: (step, most) => (step.advance = moved(rules.advances, step.advance, 1, most)) },
-  { keys: ["s", "arrowdown"], group: "ahead", word: "less", act: (step, most) => (step.advance = moved(rules.advances, step.advance, -1, !most)) },
+  { keys: ["s", "arrowdown"], group: "ahead", word: "less", act: (step, most) => (step.advance = moved(rules.advances, step.advance, -1, most)) },
   { keys: ["r"], group: "height", word: "up", space: true, act: (step, most) => (step.climb = moved(rules.climbs, step.climb, 1, most)) },
-  { keys: ["f"], group: "height", word: "down", space: true, act: (step, most) => (step.climb = moved(rules.climbs, step.climb, -1, !most)) },
-  { keys: ["t"], group: "camera", word: "up", space: true, act: (step, most) => (step.tilt = tilted(step.tilt, -1, !most)) },
+  { keys: ["f"], group: "height", word: "down", space: true, act: (step, most) => (step.climb = moved(rules.climbs, step.climb, -1, most)) },
+  { keys: ["t"], group: "camera", word: "up", space: true, act: (step, most) => (step.tilt = tilted(step.tilt, -1, most)) },
   { keys: ["g"], group: "camera", word: "down", space: true, act: (step, most) => (step.tilt = tilted(step.tilt, 1, most)) },
 ].filter((control) => rules.space || !control.space);
 
 const radians = (angle) => (angle * Math.PI) / 180;
 const asDecision = (step) => ({ done: false, turn: radians(step.turn), advance: step.advance, climb: step.climb, tilt: known(step.tilt) ? radians(step.tilt) : null });
+
+// In fewer words than `move`: it stands beside the keys that put it together.
+function inWords({ done, turn, advance, climb, tilt }) {
+  if (done) return "the mission is complete";
+  const angle = degrees(turn);
+  const parts = [
+    ...(angle ? [Math.abs(angle) === 180 ? "turn around" : `turn ${Math.abs(angle)}° ${angle > 0 ? "left" : "right"}`] : []),
+    ...(advance ? [`${advance} m ahead`] : []),
+    ...(climb ? [`${climb > 0 ? "climb" : "sink"} ${Math.abs(climb)} m`] : []),
+    ...(known(tilt) ? [`camera ${looks(tilt)}`] : []),
+  ];
+  return parts.join(", ") || "look again from here";
+}
+
 const isEmpty = (step) => step.turn === 0 && step.advance === 0 && step.climb === 0 && step.tilt === null;
 const mine = () => view?.state === "waiting" && view.helm === "yours" && !sending;
 
@@ -109,7 +123,7 @@ function showState() {
   document.title = `${word} · DREAM fly`;
   const watching = { theirs: "Another page is at the helm; this one watches.", free: "Nobody is at the helm." }[view.helm] ?? "";
   const ended = view.last?.ended === "done" ? "The mission ended by your word." : view.last?.ended === "cap" ? "All steps are spent." : "";
-  at("say").textContent = view.state === "over" ? [ended, ...(view.outcome ?? [])].join(" ") : view.state === "starting" ? "It looks around once: a quarter turn, three times." : watching;
+  at("say").textContent = view.state === "over" ? [ended, ...(view.outcome ?? [])].join(" ") : view.state === "starting" ? "It looks around once: a quarter turn, three times. On its first use a computer compiles for a minute or two before." : watching;
   at("take").hidden = view.helm !== "free" || view.state === "over";
   if (!known(view.flown)) return;
   at("counter").textContent = `Step ${view.flown} of ${view.most}`;
@@ -119,10 +133,11 @@ function showState() {
 function showNext() {
   const free = mine();
   for (const button of document.querySelectorAll(".helm button:not(#take)")) button.disabled = !free;
-  if (view?.state === "flying") at("next").textContent = move(view.decision);
+  if (view?.state === "flying") at("next").textContent = inWords(view.decision);
   else if (view?.state === "over") at("next").textContent = "none: the mission is over";
+  else if (view?.state === "waiting" && view.helm !== "yours") at("next").textContent = "–";
   else if (isEmpty(composed)) at("next").replaceChildren(element("span", { className: "nothing", textContent: at("fast").checked ? "each key goes at once" : "nothing yet: press keys, then Enter" }));
-  else at("next").textContent = move(asDecision(composed));
+  else at("next").textContent = inWords(asDecision(composed));
   showAhead();
 }
 
@@ -134,17 +149,17 @@ function showTold() {
   const { pose, last, areas, heights } = view;
   if (!pose) return;
   rows(at("where"), [
-    ["Position", `${pose.x.toFixed(1)}, ${pose.y.toFixed(1)} m`],
+    ["Position", `${pose.x.toFixed(1)}, ${pose.y.toFixed(1)} m`.replaceAll("-", "−")],
     ["Heading", `${compass(pose.yaw)}°`],
     ...(known(pose.z) ? [["Under water", metres(-pose.z)], ["Camera", looks(pose.tilt)]] : []),
   ]);
   at("areas").textContent = [["explored", "explored"], ["target", "target"]].filter(([layer]) => known(areas[layer])).map(([layer, word]) => `${areas[layer].toFixed(layer === "target" ? 1 : 0)} m² ${word}`).join(" · ");
-  at("last").replaceChildren(...(last ? carried({ clearance_m: null, collided: false, arrival_note: "", waited_s: 0, why: "", ...last }, { lattice: rules.lattice, real: false }) : []));
+  at("last").replaceChildren(...(last ? carried({ clearance_m: null, collided: false, arrival_note: "", waited_s: 0, why: "", ...last }, { lattice: null, real: false }) : []));
   at("heights").hidden = heights.length === 0;
   at("heights").replaceChildren(...heights.map((line) => element("li", { textContent: line })));
 }
 
-const KNOWN = [["map", "From above"], ["level", "At its height"], ["slice", "Upright, ahead"]];
+const KNOWN = [["map", "From above"], ["level", "Level"], ["slice", "Upright"]];
 let shown = "map";
 let pictured = 0; // the number of the view whose pictures are shown
 
@@ -231,6 +246,8 @@ for (const control of CONTROLS) {
 }
 at("pads").replaceChildren(...groups.values());
 
+at("lattice").textContent = known(rules.lattice) ? `Moves end on a lattice of ${rules.lattice} m.` : "";
+
 at("go").addEventListener("click", go);
 at("clear").addEventListener("click", clear);
 at("hold").addEventListener("click", () => send(blank()));
@@ -244,6 +261,10 @@ at("sure-no").addEventListener("click", () => at("sure").close());
 at("sure-yes").addEventListener("click", () => {
   at("sure").close();
   send(blank(), true);
+});
+at("sure").addEventListener("keydown", (event) => {
+  const button = { y: "sure-yes", n: "sure-no" }[event.key.toLowerCase()];
+  if (button) at(button).click();
 });
 
 function clear() {
