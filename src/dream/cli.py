@@ -28,6 +28,7 @@ where they are.
 
 fly in a simulated world
   run      fly one mission; leave its recording and its report
+  fly      fly one yourself, in a browser, with what a planner is told
   worlds   list the worlds, save one to edit, check one of your own
   draw     draw a world as a picture
   mission  turn an operator's words into orders that every planner obeys
@@ -57,7 +58,7 @@ dream --version           the version
 Every command takes --json, for programs. To begin with: dream run
 """
 COMMANDS = (
-    *("run", "worlds", "draw", "mission", "dive", "survey", "watch", "report"),
+    *("run", "fly", "worlds", "draw", "mission", "dive", "survey", "watch", "report"),
     *("replay", "export", "bench", "sweep", "seal", "oracle", "results", "probe", "train"),
 )
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dream.protocol import SurveyProtocol
 
 AT_HAND = {
-    True: "belief, greedy, sixsteps, lawnmower, spiral, frontier, nbv, sweep-and-graze, mutual-information, orbits, "
-    "tiers, cover-tour, space-nbv, fuel, dream, vanilla, ranked",
+    True: "belief, greedy, sixsteps, lawnmower, spiral, frontier, nbv, sweep-and-graze, mutual-information, "
+    "orbits, tiers, cover-tour, space-nbv, fuel, dream, vanilla, ranked",
     False: "belief, sixsteps, lawnmower",
 }
 """Planners that fly in space, and some that do not."""

@@ -3,6 +3,7 @@
 from dream.commands.bench import Bench
 from dream.commands.dive import Dive
 from dream.commands.export import Export
+from dream.commands.fly import Fly
 from dream.commands.mission import Mission
 from dream.commands.oracle import Oracle
 from dream.commands.probe import Probe
@@ -22,6 +23,7 @@ __all__ = [
     "Dive",
     "Draw",
     "Export",
+    "Fly",
     "Mission",
     "Oracle",
     "Probe",

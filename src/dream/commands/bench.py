@@ -19,7 +19,7 @@ from dream.flies import check_flies
 from dream.names import look_up
 from dream.options import First
 from dream.own_code import SUFFIX
-from dream.planning import LABELLED, OFFLINE, PLANNERS, AnyPlanner, Asking, check_installed
+from dream.planning import LABEL, LABELLED, OFFLINE, PLANNERS, AnyPlanner, Asking, check_installed
 from dream.protocol import protocol_named
 from dream.telling import rich_console
 
@@ -112,7 +112,7 @@ def _planner(name: str) -> AnyPlanner:
         )
     kind, plus, label = name.partition(LABELLED)
     planner = look_up(PLANNERS, kind, "planner")
-    if plus and not (isinstance(planner, Asking) and re.fullmatch(r"[A-Za-z0-9._-]{1,40}", label)):
+    if plus and not (isinstance(planner, Asking) and LABEL.fullmatch(label)):
         raise ValueError(
             f"--planners: expected NAME{LABELLED}LABEL of one that asks a model, the label of at most 40 "
             f"letters, digits, dots and dashes, got {name}"

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from dream.sim.world import World
 
 PICTURES = (".png", ".jpg", ".jpeg", ".webp")
-WITH_WORLD = ("run", "dive", "mission", "bench", "oracle", "draw")
+WITH_WORLD = ("run", "fly", "dive", "mission", "bench", "oracle", "draw")
 """Commands with the option `--world`."""
 
 

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import datetime
-import logging
 import sys
-import traceback
-from collections.abc import Generator, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, make_dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -20,28 +18,20 @@ from dream.commands.console import (
     compiling_told,
     kept_interrupts,
     open_world,
-    price,
-    print_json,
-    tell_lost,
-    told_without_answer,
 )
 from dream.commands.ground import Ground
 from dream.commands.mission import check_terminal, confirmed, draw_orders, given
-from dream.commands.progress import stage, with_progress
+from dream.commands.outcome import fly_to_end, tell_outcome, write_scene_of
+from dream.commands.progress import stage
 from dream.commands.swim import Swim
-from dream.ending import also, reason
-from dream.errors import MissionAborted
 from dream.options import First
 from dream.own_code import own_planner
 from dream.planning import PLANNERS, AnyPlanner, check_installed, planner_name
-from dream.planning.vlm import WIRE_TEST, Asking, Ranked, stands_in
+from dream.planning.vlm import Asking
 
 if TYPE_CHECKING:
-    from dream.evaluation.metrics import Scorer
-    from dream.mapping.volume import Volume
     from dream.orders import Orders
     from dream.protocol import SurveyProtocol
-    from dream.recording import RecordedStep
     from dream.sim.world import World
     from dream.types import Step
 
@@ -49,12 +39,8 @@ if TYPE_CHECKING:
 else:
     ChosenPlanner = tyro.extras.subcommand_type_from_defaults(PLANNERS, sort_subcommands=False)
 
-logger = logging.getLogger(__name__)
-
 SCENE_EVERY = 10
 """Steps after which the live page gets a new view in three dimensions."""
-TRACEBACK = "traceback.txt"
-"""File in the folder of a run that a planner or the program broke off by an error in its code."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,11 +102,9 @@ class Run:
         """The same; what has to stay until the outcome is told is left to `shown`."""
         from dream import recording
         from dream.compiling import working_time
-        from dream.evaluation.metrics import Scorer, sight_in, without_answer
+        from dream.evaluation.metrics import Scorer, sight_in
         from dream.evaluation.runner import run_config, simulate, summarize
-        from dream.mapping.volume import Volume
         from dream.planning.vlm.orders import write_mission
-        from dream.report import write_report
         from dream.robots.replay import keep
         from dream.sim.ordered import protocol_in
         from dream.sim.render import Renderer
@@ -190,7 +174,7 @@ class Run:
                 coverage = scorer.add(step)
                 volume = step.occupancy.volume
                 if self.live and volume is not None and step.index > 0 and step.index % SCENE_EVERY == 0:
-                    _write_scene(folder, world, scorer, volume)
+                    write_scene_of(folder, world, scorer, volume)
                 return {"coverage": coverage.as_dict()}
 
             recorded = recording.record(steps, folder, annotate=annotated)
@@ -198,41 +182,9 @@ class Run:
             if orders is not None and orders.max_steps is not None:
                 total = min(total, orders.max_steps)
             with recording.compiling_noted(folder):
-                stopped = _fly(recorded, f"{name} · {world.name} {world.seed}", total)
-        tell_lost(getattr(self.planner, "record", None))
+                stopped = fly_to_end(recorded, f"{name} · {world.name} {world.seed}", total)
         summary = summarize(world, name, protocol, scorer, working_time() - began, stopped)
-        page = None
-        try:
-            recording.write_summary(folder, summary)
-            with stage("writing report.html"):
-                if (folder / recording.VOLUME).exists():
-                    _write_scene(folder, world, scorer, Volume.load(folder / recording.VOLUME))
-                page = write_report(folder)
-        except KeyboardInterrupt as interrupt:
-            raise _aborted(interrupt, folder) from interrupt
-        except OSError as full:
-            stopped = also(stopped, full)
-        if self.json:
-            print_json(summary)
-        else:
-            record = getattr(self.planner, "record", None)
-            replayed = getattr(self.planner, "replay_replies", None) is not None and record is None
-            flown = recording.read_steps(folder)
-            _print_outcome(summary, self.planner, flown, page, replayed=replayed)
-        if stopped is not None:
-            raise _aborted(stopped, folder, getattr(self.planner, "record", None)) from stopped
-        return told_without_answer(without_answer(summary["vlm"]))
-
-
-def _write_scene(folder: Path, world: World, scorer: Scorer, volume: Volume) -> None:
-    """What report and live page show in three dimensions."""
-    from dream import recording
-    from dream.evaluation.flown_scene import write_scene
-
-    try:
-        write_scene(folder, volume, recording.read_steps(folder), world, scorer)
-    except ValueError as error:  # The rest of the report is worth as much without it.
-        logger.warning("the view in three dimensions is left out: %s", error)
+        return tell_outcome(folder, world, scorer, self.planner, summary, stopped, json=self.json)
 
 
 def run_with(path: str) -> type[Run]:
@@ -274,132 +226,3 @@ def _orders(
         check_writable(draft.parent)
     wanted = None if draft is None else ("Fly this?", draft)
     return mission, confirmed(mission, planner, world, protocol, wanted, sys.stderr)
-
-
-def _fly(recorded: Generator[Step, None, None], title: str, total: int) -> BaseException | None:
-    """Fly a mission to its end; returns what stopped it before, since what was flown is kept then too."""
-    try:
-        with contextlib.closing(recorded), kept_interrupts() as check:
-            warned = False
-            for step in with_progress(recorded, title, total, "steps", at_most=True):
-                check()
-                warned = warned or _warned(step)
-    except (KeyboardInterrupt, Exception) as stopped:  # noqa: BLE001 - whatever it was.
-        return stopped
-    return None
-
-
-def _warned(step: Step) -> bool:
-    """Say where a model gave no answer that counts: another decides there than the one that was chosen."""
-    silent = next((exchange for exchange in step.decision.exchanges if exchange.fallback), None)
-    if silent is None:
-        return False
-    logger.warning(
-        "step %d: %s gave no answer that counts (%s); belief decides there and wherever none comes",
-        step.index,
-        silent.model,
-        silent.fallback,
-    )
-    return True
-
-
-def _aborted(why: BaseException, folder: Path, record: str | None = None) -> MissionAborted:
-    from dream.recording import read_steps
-
-    kept = read_steps(folder)
-    said = f"aborted: {reason(why)}; {kept[-1].step if kept else 0} steps are kept in {folder}"
-    # Of these the words say all; of a planner's code, or the program's, the place is wanted.
-    if not isinstance(why, KeyboardInterrupt | MissionAborted | OSError | RuntimeError | ValueError):
-        path = folder / TRACEBACK
-        with contextlib.suppress(OSError):
-            path.write_text("".join(traceback.format_exception(why)), encoding="utf-8")
-            said += f". All of the error is in {path}"
-    if isinstance(why, OSError) and not (folder / "report.html").exists():
-        said += f". Once there is room: dream report {folder}"
-    if isinstance(why, KeyboardInterrupt) and record is not None:
-        said += f". To go on without asking again, say the same with --replay-replies {record}"
-    return MissionAborted(said)
-
-
-def _print_outcome(
-    summary: Mapping[str, Any],
-    planner: AnyPlanner,
-    steps: Sequence[RecordedStep],
-    page: Path | None,
-    *,
-    replayed: bool,
-) -> None:
-    from dream.evaluation.metrics import MILESTONES
-
-    coverage = summary["coverage"]
-    ended = {"done": "done", "cap": "out of steps", "aborted": "aborted"}[summary["ended"]]
-    times = ", ".join(
-        f"{100 * share:g} % at {summary[mark]}"
-        for mark, share in MILESTONES.items()
-        if summary[mark] is not None
-    )
-    print(f"{summary['world']} {summary['seed']} · {summary['planner']} · {summary['protocol']}")
-    print(f"  {ended} after {summary['steps']} steps" + (", a success" if summary["success"] else ""))
-    if summary["ended"] == "cap":
-        print("  the mission was cut off there; --max-steps says where")
-    if summary["ended"] == "aborted":
-        print(f"  why: {summary['why']}")
-    if steps:
-        # What it holds to be complete, and with which risk; some planners only say what they do.
-        reasoning = steps[-1].reasoning
-        asked = steps[-1].asked
-        whose = "belief's" if asked is not None and asked.fallback else "its"
-        print(f"  {whose} last word: {reasoning.completion or reasoning.action}")
-    for number, leg in enumerate(summary.get("legs", ()), start=1):
-        print(f"  leg {number}, {leg['task']} {leg['target']}: {leg['outcome']}, {leg['steps']} steps")
-    named = {"instances": "individuals", "clusters": "patches (half seen)", "area": "target area"}
-    told, how = "seen", summary.get("inspection")
-    if how is not None:
-        told, named["clusters"] = "inspected", "patches (half of them)"
-    print(f"  {told}: " + ", ".join(f"{coverage[key]:.1%} of the {name}" for key, name in named.items()))
-    if how is not None:
-        print(
-            f"  that is {how['whole']:.1%} of all surface; {how['dropped']:.1%} of it cannot be inspected, "
-            f"{how['seen']:.1%} of the individuals were seen at some angle"
-        )
-    if times:
-        print(f"  steps until a share of the individuals was {told}: {times}")
-    print(
-        f"  {summary['collisions']} contacts, {summary['distance_m']:.0f} m "
-        f"in {summary['mission_s']:.0f} s of the mission; computed in {summary['wall_s']:.1f} s"
-    )
-    if summary["position_error_m"]["rmse"] > 0.0:
-        error = summary["position_error_m"]
-        print(
-            f"  it was {error['rmse']:.2f} m (rms) from where it believed to be, "
-            f"{error['end']:.2f} m at the end: {summary['drift']:.2%} of the way"
-        )
-    if summary["vlm"] is not None:
-        print(f"  {_asked(summary, 'replayed' if replayed else 'asked')}")
-        print(f"  {_decided(summary['vlm'])}")
-    elif isinstance(planner, Asking) and summary["ended"] != "aborted":
-        why = ", no choice was close enough" if isinstance(planner, Ranked) else ""
-        print(f"  asked {planner.label}: nothing{why}")
-    if page is not None:
-        print(f"  report: {page}")
-
-
-def _asked(summary: Mapping[str, Any], done: str) -> str:
-    """What asking a model came to, in a line."""
-    vlm = summary["vlm"]
-    return (
-        f"{done} {vlm['model']}: {vlm['calls']} calls, {vlm['tokens']} tokens, {price(vlm['cost_usd'])}, "
-        f"{vlm['latency_s']['p50']:.1f} s an answer, "
-        f"waited {vlm['waited_s']:.0f} s of {summary['mission_s']:.0f} s"
-        + (f"; a wire test, {WIRE_TEST}" if stands_in(vlm["model"]) else "")
-    )
-
-
-def _decided(vlm: Mapping[str, Any]) -> str:
-    """Whose word counted, in a line."""
-    reasons = ", ".join(f"{reason} {times}" for reason, times in vlm["reasons"].items())
-    outcomes = ", ".join(f"{times} {outcome}" for outcome, times in vlm["outcomes"].items())
-    said = [f"{vlm['fallbacks']} of {vlm['questions']} questions were decided by belief ({reasons})"] * bool(
-        reasons
-    )
-    return "; ".join([*said, *([f"its answers: {outcomes}"] if outcomes else [])])

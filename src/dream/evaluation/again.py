@@ -8,8 +8,9 @@ from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
 from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
+from dream.course import Planner
 from dream.evaluation.runner import labelled_in, simulate
 from dream.geometry import Bounds, wrap_angle
 from dream.mapping import OccupancyMap
@@ -17,7 +18,7 @@ from dream.mapping.prior import Prior
 from dream.mission import explore
 from dream.names import look_up
 from dream.orders import Orders
-from dream.planning import PLANNERS, AnyPlanner, Asking, planner_name
+from dream.planning import HUMAN, LABELLED, PLANNERS, AnyPlanner, Asking, Human, planner_name
 from dream.planning.baselines.uivnav import weights_sha256
 from dream.planning.identity import code_sha256, prompts_sha256
 from dream.planning.vlm import stands_in
@@ -35,7 +36,7 @@ from dream.recording import (
 from dream.robots.replay import FOLDER, Replayed
 from dream.sim.files import world_hash
 from dream.sim.world import World
-from dream.types import Decision, Step, Target
+from dream.types import Decision, Mission, Observation, Step, Target
 
 SAME = 1e-6
 """Metres and radians between what is the same: another machine may round otherwise."""
@@ -81,6 +82,8 @@ class Record:
                 f"planner: expected one of DREAM, got the file {self.config.planner_file}. To have "
                 "that decide again, name it: dream replay RUN --planner FILE.py"
             )
+        if name.partition(LABELLED)[0] == HUMAN:
+            return Human()
         default = look_up(PLANNERS, name, "planner")
         try:
             planner = replace(default, **self.config.planner_parameters)
@@ -109,7 +112,8 @@ class Record:
     def was_flown_by(self, planner: AnyPlanner) -> bool:
         """Is it who decided, with the parameters of then?"""
         parameters = json.loads(json.dumps(asdict(planner)))
-        then = (self.config.planner, self.config.planner_sha256, self.config.planner_parameters)
+        name = self.config.planner.partition(LABELLED)[0]
+        then = (name, self.config.planner_sha256, self.config.planner_parameters)
         return (planner_name(planner), code_sha256(planner), parameters) == then
 
     @property
@@ -203,7 +207,7 @@ def fly_again(record: Record, planner: AnyPlanner, world: World | None) -> Itera
 
     Args:
         record: Of the mission.
-        planner: Who decides.
+        planner: Who decides. In the place of a person, who is not asked again, `Repeated` does.
         world: Of then; None where it is not known, of a dive in real water.
 
     Raises:
@@ -211,6 +215,7 @@ def fly_again(record: Record, planner: AnyPlanner, world: World | None) -> Itera
         ValueError: An observation is missing, or something does not fit together.
     """
     config, protocol, steps = record.config, record.protocol, len(record.steps)
+    decides: Planner = Repeated(record.steps) if isinstance(planner, Human) else planner
     if record.observed or record.config.dive is not None:
         robot = Replayed(record.folder)
         if robot.moves < steps - 1:
@@ -223,7 +228,7 @@ def fly_again(record: Record, planner: AnyPlanner, world: World | None) -> Itera
         target = Target.ANY if record.config.dive is not None or world is None else labelled_in(world)
         again = explore(
             robot,
-            planner,
+            decides,
             occupancy,
             max_steps=config.max_steps,
             target=target,
@@ -234,7 +239,7 @@ def fly_again(record: Record, planner: AnyPlanner, world: World | None) -> Itera
         assert world is not None
         again = simulate(
             world,
-            planner,
+            decides,
             protocol,
             start=config.start,
             max_steps=config.max_steps,
@@ -242,6 +247,29 @@ def fly_again(record: Record, planner: AnyPlanner, world: World | None) -> Itera
             prior=record.prior(world.bounds),
         )
     return islice(again, steps)
+
+
+@dataclass(frozen=True, slots=True)
+class Repeated:
+    """Decides what was decided then, step by step, whatever it is told."""
+
+    spatial: ClassVar[bool] = True
+
+    steps: tuple[RecordedStep, ...]
+    """Of the mission, from the first look on."""
+
+    def begin(self, mission: Mission) -> _Repeating:
+        """A pilot that has not decided yet."""
+        return _Repeating(iter(self.steps[mission.flown + 1 :]))
+
+
+@dataclass(frozen=True, slots=True)
+class _Repeating:
+    steps: Iterator[RecordedStep]
+
+    def decide(self, observation: Observation, occupancy: OccupancyMap) -> Decision:
+        then = next(self.steps).decision
+        return Decision(then.turn, then.advance, then.done, climb=then.climb, tilt=then.tilt)
 
 
 class Comparison:

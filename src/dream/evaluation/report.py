@@ -43,7 +43,7 @@ from dream.evaluation.results import Results, read_results
 from dream.evaluation.sealed import blocks_told
 from dream.evaluation.suites import LISTED
 from dream.files import write_whole
-from dream.planning import LABELLED, PLANNERS, Asking
+from dream.planning import HUMAN, LABELLED, PLANNERS, Asking
 from dream.planning.vlm import WIRE_TEST
 from dream.report import digest, fill
 
@@ -304,12 +304,18 @@ def _naming_sealed(sealing: Mapping[str, Any]) -> list[str]:
 
 
 def flown_by_scripts(manifest: Mapping[str, Any]) -> str:
-    """Which planners no command knows, in words; empty where there are none."""
+    """Which planners no command flies by itself, and who does, in words; empty where there are none."""
     others = [name for name in manifest["planners"] if not _is_known(name)]
-    if not others:
-        return ""
-    how = "is flown by a script of its own" if len(others) == 1 else "are flown by scripts of their own"
-    return f"{_listed(others)} {how}"
+    persons = [name for name in others if name.partition(LABELLED)[0] == HUMAN]
+    scripts = [name for name in others if name not in persons]
+    told = []
+    if persons:
+        how = "is a person" if len(persons) == 1 else "are persons"
+        told.append(f"{_listed(persons)} {how} (dream fly)")
+    if scripts:
+        how = "is flown by a script of its own" if len(scripts) == 1 else "are flown by scripts of their own"
+        told.append(f"{_listed(scripts)} {how}")
+    return "; ".join(told)
 
 
 def _is_known(planner: str) -> bool:

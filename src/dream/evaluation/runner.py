@@ -25,7 +25,7 @@ from dream.errors import MissionAborted
 from dream.evaluation import machine
 from dream.evaluation.engines import Engine, Failure
 from dream.evaluation.locks import alone_at
-from dream.evaluation.metrics import Scorer, curve, sight_in
+from dream.evaluation.metrics import Coverage, Scorer, curve, sight_in
 from dream.evaluation.results import (
     MAX_STEPS,
     Flown,
@@ -89,6 +89,7 @@ def simulate(
     renderer: Renderer | None = None,
     solids: Solids | None = None,
     prior: Prior | None = None,
+    fineness: int | None = None,
 ) -> Iterator[Step]:
     """One mission of a planner in a world; see `mission.explore`.
 
@@ -103,13 +104,16 @@ def simulate(
         renderer: Of this world, where one is made already.
         solids: Of this world, where they are made already.
         prior: What an earlier survey holds of the same ground.
+        fineness: Pixels of colour along each side of a pixel of depth and labels; what the planner looks at
+            unless given.
     """
     if not 0 <= start < len(world.starts):
         raise ValueError(f"start: expected 0 to {len(world.starts) - 1} for {world.name}, got {start}")
     protocol = ordered_in(world, protocol or protocol_named(world.protocol))
     check_fits(world, protocol)
     # A model is shown finer pictures than the map is made from; nobody else pays for them.
-    fineness = SHOWN if isinstance(planner, Asking) else 1
+    if fineness is None:
+        fineness = SHOWN if isinstance(planner, Asking) else 1
     chosen = swimming_under(protocol, swimming)
     launch = Teleport if chosen is None else chosen.launch
     robot: Robot = launch(
@@ -344,17 +348,14 @@ def _fly_on(stage: _Stage, flight: Flight, began: float) -> Flown:
         renderer=stage.renderer,
         solids=stage.visibility.solids,
     )
-    poses: list[tuple[float, float, float, float, bool]] = []
+    poses: list[TracedPose] = []
 
     def score(step: Step) -> dict[str, Any]:
         for exchange in step.decision.exchanges:
             if isinstance(flight.planner, Asking) and exchange.fallback.startswith(GONE):
                 raise flight.planner.gone(exchange.fallback)
         coverage = scorer.add(step)
-        pose = step.observation.pose
-        # Adding 0.0 turns -0.0, which would be written differently, into 0.0.
-        x, y, yaw = (round(v, 3) + 0.0 for v in (pose.x, pose.y, math.degrees(pose.yaw)))
-        poses.append((x, y, yaw, round(coverage.instances, 6), step.arrival.collided))
+        poses.append(traced(step, coverage))
         return {"coverage": coverage.as_dict()}
 
     def outcome(stopped: MissionAborted | None) -> dict[str, Any]:
@@ -370,7 +371,7 @@ def _fly_on(stage: _Stage, flight: Flight, began: float) -> Flown:
             stopped = aborted
     else:
         stopped = _record(flight, stage.world, protocol, steps, score, outcome)
-    return _flown(outcome(stopped), poses, flight.case.start, protocol.cap)
+    return flown_mission(outcome(stopped), poses, flight.case.start, protocol.cap)
 
 
 def _record(
@@ -411,10 +412,27 @@ def _record(
     return stopped
 
 
-def _flown(
-    summary: Mapping[str, Any], poses: Sequence[tuple[float, float, float, float, bool]], start: int, cap: int
-) -> Flown:
-    """The row and the trace of a mission: the one place where they are put together."""
+TracedPose = tuple[float, float, float, float, bool]
+"""A step in a `Trace`: x, y, yaw_deg, instances and collided, rounded as they are written."""
+
+
+def traced(step: Step, coverage: Coverage) -> TracedPose:
+    """What a trace keeps of a step, given what its scorer said of it."""
+    pose = step.observation.pose
+    # Adding 0.0 turns -0.0, which would be written differently, into 0.0.
+    x, y, yaw = (round(v, 3) + 0.0 for v in (pose.x, pose.y, math.degrees(pose.yaw)))
+    return x, y, yaw, round(coverage.instances, 6), step.arrival.collided
+
+
+def flown_mission(summary: Mapping[str, Any], poses: Sequence[TracedPose], start: int, cap: int) -> Flown:
+    """The row and the trace of a mission: the one place where they are put together.
+
+    Args:
+        summary: Of `summarize`.
+        poses: Of all its steps, from the first look on.
+        start: Which of the world's start poses.
+        cap: Of the protocol.
+    """
     x, y, yaw_deg, instances, collided = (np.array(column) for column in zip(*poses, strict=True))
     vlm = summary["vlm"] or {}
     same = (

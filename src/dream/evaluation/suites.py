@@ -19,9 +19,7 @@ REEF_FAMILIES = ("fringing", "string", "patch", "mixed")
 LETTERS = ("L", "S", "O", "K", "E")
 """The successor paper's shapes of reef."""
 WRECKS = (1, 2, 3, 4, 5)
-HABITATS = ("mound", "ledge", "carpet", "tiny", "dense", "rocks", "holes", "border", "walls", "two", "wide")
-"""Families of reefs in wide arenas, made for protocols that move in space; see docs/habitats.md."""
-WEAK = ("mound", "carpet", "tiny", "dense")
+WEAK = ("reef/mound", "reef/carpet", "reef/tiny", "reef/dense")
 """Those on which a stop that was right on the paper's kinds of reef was wrong, so that many are needed."""
 SEVERAL = (
     "wreck/1+wreck/3",
@@ -32,7 +30,7 @@ SEVERAL = (
 )
 """Two structures in one world."""
 SEALED_FAMILIES: tuple[tuple[str, ...], ...] = (
-    *((f"reef/{name}",) for name in HABITATS),
+    *((name,) for name in HABITATS),
     tuple(f"wreck/{number}" for number in WRECKS),
     SEVERAL,
 )
@@ -97,7 +95,7 @@ def _generated(reefs: range, letters: range, wrecks: range) -> tuple[Case, ...]:
 def _wide(reefs: range, weak: range, others: range) -> tuple[Case, ...]:
     """The families of wide worlds, more of the weak ones; wrecks, and several structures."""
     return (
-        *(Case(f"reef/{name}", seed) for name in HABITATS for seed in (weak if name in WEAK else reefs)),
+        *(Case(name, seed) for name in HABITATS for seed in (weak if name in WEAK else reefs)),
         *(Case(f"wreck/{number}", seed) for number in WRECKS for seed in others),
         *(Case(name, seed) for name in SEVERAL for seed in others[: len(others) // 2]),
     )

@@ -105,10 +105,18 @@ def _address(name: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:
 class Doorkeeper:
     """Lets requests through to an application, or answers them itself with a line of text."""
 
-    def __init__(self, app: ASGIApp, doors: Doors, admit: Callable[[Any], bool]) -> None:
+    def __init__(
+        self,
+        app: ASGIApp,
+        doors: Doors,
+        admit: Callable[[Any], bool],
+        writes: frozenset[str] = frozenset(),
+    ) -> None:
+        """Before an application; `writes` are the paths that something may be posted to."""
         self._app = app
         self._doors = doors
         self._admit = admit
+        self._writes = writes
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """One request."""
@@ -135,8 +143,12 @@ class Doorkeeper:
         """Status, text and headers of an answer; None where the application answers."""
         if not self._doors.answers_to(headers.get("host", "")):
             return 421, "This server is not the one that was asked for.\n", {}
-        if scope["method"] not in ("GET", "HEAD"):
+        posts = scope["method"] == "POST" and scope["path"] in self._writes
+        if not posts and scope["method"] not in ("GET", "HEAD"):
             return 405, "There is nothing to change here.\n", {"allow": "GET, HEAD"}
+        # Every browser says of what is posted which page posts it, and no page can say so of another.
+        if posts and headers.get("origin") != f"http://{headers.get('host', '')}":
+            return 403, "Only the page of this server may do that: expected its address as Origin.\n", {}
         # A page of another server may link to this one; it may neither use nor exhaust it.
         site = headers.get("sec-fetch-site", "none")
         if scope["path"] != "/" and site not in ("same-origin", "none"):
@@ -151,7 +163,7 @@ class Doorkeeper:
             return 303, "", {"location": "/", "set-cookie": cookie}
         if self._doors.knows(_cookie(headers.get("cookie", ""), name)):
             return None
-        return 401, "This page needs its token: open the address that dream watch printed.\n", {}
+        return 401, "This page needs its token: open the address that was printed with it.\n", {}
 
 
 def _headers(raw: Iterable[tuple[bytes, bytes]]) -> dict[str, str]:

@@ -57,14 +57,17 @@ MAX_PAGES = 8
 MAX_CONNECTIONS = 64
 """Of those who passed the door."""
 
+Admit = Callable[[Any], bool]
+"""Whether there is a place for one who passed the door, by where it comes from."""
+
 _PICTURES = {
     "rgb": "frames/{:04d}_rgb.png",
     "depth": "frames/{:04d}_depth.png",
     "labels": "frames/{:04d}_labels.png",
     "map": "maps/{:04d}.png",
 }
-_FOR_EVER = {"cache-control": "private, max-age=3600, immutable"}
-_NEVER = {"cache-control": "no-store"}
+FOR_EVER = {"cache-control": "private, max-age=3600, immutable"}
+NEVER = {"cache-control": "no-store"}
 
 
 @dataclass(slots=True)
@@ -94,7 +97,7 @@ class Pages:
             self._looked, self._looking = time.monotonic(), None
 
 
-def application(pages: Pages, doors: Doors, admit: Callable[[Any], bool] = lambda client: True) -> ASGIApp:
+def application(pages: Pages, doors: Doors, admit: Admit = lambda client: True) -> ASGIApp:
     """The server without its socket.
 
     Args:
@@ -111,27 +114,27 @@ def application(pages: Pages, doors: Doors, admit: Callable[[Any], bool] = lambd
     async def of_run(request: Request) -> Response:
         answer = await asyncio.to_thread(_of_run, pages.watched, **request.path_params)
         if answer is None:
-            return PlainTextResponse("There is nothing of that name.\n", 404, _NEVER)
+            return PlainTextResponse("There is nothing of that name.\n", 404, NEVER)
         content, kind = answer
-        return Response(content, headers=_FOR_EVER, media_type=kind)
+        return Response(content, headers=FOR_EVER, media_type=kind)
 
     async def space(request: Request) -> Response:
         told = await asyncio.to_thread(_space, pages.watched, **request.path_params)
         if told is None:
-            return PlainTextResponse("There is nothing of that name.\n", 404, _NEVER)
-        return Response(told, headers=_NEVER, media_type="application/json")
+            return PlainTextResponse("There is nothing of that name.\n", 404, NEVER)
+        return Response(told, headers=NEVER, media_type="application/json")
 
     async def events(request: Request) -> Any:
         if pages.open >= MAX_PAGES:
             said = f"{MAX_PAGES} pages are open already; close one.\n"
-            return PlainTextResponse(said, 503, {**_NEVER, "retry-after": "5"})
+            return PlainTextResponse(said, 503, {**NEVER, "retry-after": "5"})
         # A page that comes back by itself says in the header where it was; the address is that of its begin.
         was = request.headers.get("last-event-id") or request.query_params.get("have", "")
         return _Stream(pages, Cursor.at(was, request.query_params.get("open", "")))
 
     def fixed(content: str, kind: str) -> Callable[[Request], Any]:
         async def given(request: Request) -> Response:
-            return Response(content, headers=_NEVER, media_type=kind)
+            return Response(content, headers=NEVER, media_type=kind)
 
         return given
 
@@ -150,7 +153,7 @@ def _page() -> tuple[str, str, str]:
         "labels": [{"name": label.name.lower(), "color": LABEL_COLORS[label]} for label in Label],
         "depth_level": DEPTH_LEVEL,
     }
-    own = {name: _own_part(name) for name in ("live.html", "live.css", "live.js")}
+    own = {name: own_part(name) for name in ("live.html", "live.css", "live.js")}
     shared = {name: part(f"{name}.html") for name in ("stage", "player")}
     parts = {**shared, "space": view.part("space.html"), "fixed": html.escape(json.dumps(fixed))}
     return (
@@ -160,7 +163,8 @@ def _page() -> tuple[str, str, str]:
     )
 
 
-def _own_part(name: str) -> str:
+def own_part(name: str) -> str:
+    """A file of a page that this server shows."""
     return resources.files("dream").joinpath("live/page", name).read_text(encoding="utf-8")
 
 
@@ -307,14 +311,36 @@ def serve(places: list[Path], doors: Doors, listening: socket.socket, over: Call
         listening: From `listen`.
         over: Asked every so often whether it is time to end.
     """
+    pages = Pages(Watched(places))
+
+    def made(admit: Admit, closing: Callable[[], bool]) -> ASGIApp:
+        pages.closing = closing
+        return application(pages, doors, admit)
+
+    host(made, listening, lambda: over(pages))
+
+
+def host(
+    made: Callable[[Admit, Callable[[], bool]], ASGIApp],
+    listening: socket.socket,
+    over: Callable[[], bool],
+) -> None:
+    """Answer requests with an application until `over` says so, or Ctrl-C.
+
+    Args:
+        made: Gives the application; it is told whether there is a place for a connection, by where that comes
+            from, and whether the server is about to end.
+        listening: From `listen`.
+        over: Asked every so often whether it is time to end.
+    """
     import uvicorn
 
     from dream.live.guests import MOST_AT_ONCE, MOST_HEAD, House, guests_of
 
-    pages, house = Pages(Watched(places)), House(MAX_CONNECTIONS)
+    house = House(MAX_CONNECTIONS)
     server = uvicorn.Server(
         uvicorn.Config(
-            application(pages, doors, house.admit),
+            made(house.admit, lambda: server.should_exit),
             http=cast("type[asyncio.Protocol]", guests_of(house)),
             ws="none",
             lifespan="off",
@@ -328,11 +354,9 @@ def serve(places: list[Path], doors: Doors, listening: socket.socket, over: Call
         )
     )
 
-    pages.closing = lambda: server.should_exit
-
     async def run() -> None:
         async def watch() -> None:
-            while not over(pages):
+            while not over():
                 await asyncio.sleep(LOOK_S)
             server.should_exit = True
 

@@ -1,5 +1,7 @@
 """Observation, Map → Decision."""
 
+import re
+
 from dream.flies import flies
 from dream.own_code import own_name
 from dream.planning.baselines import (
@@ -14,6 +16,7 @@ from dream.planning.baselines import (
 )
 from dream.planning.belief import Belief
 from dream.planning.greedy import Greedy
+from dream.planning.human import Human
 from dream.planning.sixsteps import SixSteps
 from dream.planning.space.orbits import Orbits
 from dream.planning.space.rivals.cover_tour import CoverTour
@@ -42,6 +45,7 @@ AnyPlanner = (
     | Dream
     | Vanilla
     | Ranked
+    | Human
 )
 
 PLANNERS: dict[str, AnyPlanner] = {
@@ -67,8 +71,15 @@ PLANNERS: dict[str, AnyPlanner] = {
 }
 """Every planner by its name on the command line, with its default parameters. The first is the default."""
 
+HUMAN = "human"
+"""What a person who flies is called: none of `PLANNERS`, since no command flies it without one."""
+
 LABELLED = "+"
-"""Between a planner's name and a label, where a benchmark holds one that asks several models."""
+"""Between a planner's name and a label, where a benchmark holds one that asks several models, or several
+persons."""
+
+LABEL = re.compile(r"[A-Za-z0-9._-]{1,40}")
+"""What a label may be."""
 
 IN_SPACE: tuple[str, ...] = tuple(name for name, one in PLANNERS.items() if flies(one, in_space=True))
 """Names of those that fly under a protocol that moves in space. The others read the map's planar layers."""
@@ -90,12 +101,16 @@ def check_installed(planner: object) -> None:
 def planner_name(planner: AnyPlanner) -> str:
     """The name of a planner on the command line; of one's own, that of its file."""
     kind = type(planner)
+    if kind is Human:
+        return HUMAN
     names = (name for name, default in PLANNERS.items() if type(default) is kind)
     return next(names, None) or own_name(kind)
 
 
 __all__ = [
+    "HUMAN",
     "IN_SPACE",
+    "LABEL",
     "LABELLED",
     "OFFLINE",
     "PLANAR",
@@ -107,6 +122,7 @@ __all__ = [
     "Dream",
     "Fuel",
     "Greedy",
+    "Human",
     "Lawnmower",
     "MutualInformation",
     "NearestFrontier",

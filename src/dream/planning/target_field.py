@@ -162,7 +162,10 @@ class TargetField:
 
         The sum over some squares is never less than what they tell together (Hadamard's inequality).
         """
-        return 0.5 * np.log(np.maximum(self.variances * self._precision.diagonal(), 1.0))
+        told: npt.NDArray[np.float64] = 0.5 * np.log(
+            np.maximum(self.variances * self._precision.diagonal(), 1.0)
+        )
+        return told
 
     def information(self, squares: IntArray) -> float:
         """Nats that some squares (n,) tell of all else that is unknown; what is known tells nothing."""
@@ -186,7 +189,8 @@ def prior(shape: tuple[int, int], distance: float) -> tuple[csc_matrix, npt.NDAr
     """
     from scipy.sparse import csc_matrix, diags, identity, kron
 
-    along, vectors, roots = [], [], []
+    along: list[Any] = []
+    vectors, roots = [], []
     for n in shape:
         degree = np.full(n, 2.0)
         degree[[0, -1]] = 1.0 if n > 1 else 0.0

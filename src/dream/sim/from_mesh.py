@@ -497,8 +497,8 @@ def _seabed(vertices: Float64Array, faces: IntArray, bounds: Bounds, rng: np.ran
     grid = np.stack(np.broadcast_arrays(x, y), axis=-1).reshape(-1, 2)
     apart = np.asarray(cKDTree(points[:, :2]).query(grid, distance_upper_bound=9.0)[0])
     near = quantised(np.minimum(apart, 9.0), 1_000_000).reshape(y.size, x.size)
-    wide = float(half.max())
-    swell = undulation(Bounds(-wide, -wide, wide, wide), rng)
+    extent = float(half.max())
+    swell = undulation(Bounds(-extent, -extent, extent, extent), rng)
     skip_y, skip_x = ((swell.shape[0] - y.size) // 2, (swell.shape[1] - x.size) // 2)
     swell = swell[skip_y : skip_y + y.size, skip_x : skip_x + x.size]
     heights = coarse.height(x, y) + swell * smoothstep(1.0, 8.0, near)

@@ -106,7 +106,7 @@ class _Worth:
     """(rows, cols) by the targets to be expected there."""
     squares: FloatArray
     """(squares,) map cells of each that are left to be seen; 0 where it is known."""
-    field: TargetField
+    ground: TargetField
     tell: float
     _views: dict[Pose, BoolArray] = field(default_factory=dict)
 
@@ -124,9 +124,9 @@ class _Worth:
 
     def of_cells(self, shown: BoolArray) -> float:
         """Of some ground (rows, cols), each square of which counts for information where half of it shows."""
-        known = self.field.on_squares(shown & ~self.occupancy.observed)
+        known = self.ground.on_squares(shown & ~self.occupancy.observed)
         squares = np.flatnonzero((known >= 0.5 * self.squares) & (self.squares > 0.0))
-        return float(self.target[shown].sum()) + self.tell * self.field.information(squares)
+        return float(self.target[shown].sum()) + self.tell * self.ground.information(squares)
 
 
 @dataclass(slots=True)

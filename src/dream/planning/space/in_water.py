@@ -56,7 +56,9 @@ class InWater:
         whole = self.mission.protocol
         assert whole.space is not None
         self.height = max(HEIGHT * whole.trusted, whole.space.lowest + whole.lattice)
-        self.protocol = replace(whole, reach=math.sqrt(max(whole.trusted**2 - self.height**2, whole.cell**2)))
+        # On the lattice of heights it may be so much higher.
+        above = self.height + whole.lattice
+        self.protocol = replace(whole, reach=math.sqrt(max(whole.trusted**2 - above**2, whole.cell**2)))
 
     @property
     def in_plane(self) -> Mission:
