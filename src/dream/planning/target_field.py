@@ -65,7 +65,7 @@ class TargetField:
     _cells: npt.NDArray[np.float64] = field(init=False)
     """(squares,) map cells of each."""
     _precision: csc_matrix = field(init=False)
-    _kept: IntArray = field(init=False)
+    _kept: npt.NDArray[np.intp] = field(init=False)
     """(n,) all squares that are not known, and some that are."""
     _covariance: npt.NDArray[np.float64] = field(init=False)
     """(n, n) of these; 0 of what is known."""
@@ -90,16 +90,15 @@ class TargetField:
         self.share = np.zeros(rows * cols)
         precision, covariance = prior(self.shape, self.range / side)
         scale = self.deviation**2 / float(np.diag(covariance).mean())
-        self._precision, self._covariance = precision / scale, covariance * scale
+        precision.data /= scale
+        self._precision, self._covariance = precision, covariance * scale
         self._kept = np.arange(rows * cols)
 
     def on_squares(self, cells: FloatArray | BoolArray) -> npt.NDArray[np.float64]:
         """(squares,) the sums of (map rows, map cols)."""
         squares = self.shape[0] * self.shape[1]
-        sums: npt.NDArray[np.float64] = np.bincount(
-            self._of_cell.ravel(), np.asarray(cells, np.float64).ravel(), squares + 1
-        )
-        return sums[:squares]
+        sums = np.bincount(self._of_cell.ravel(), np.asarray(cells, np.float64).ravel(), squares + 1)
+        return np.asarray(sums[:squares], np.float64)
 
     def on_cells(self, squares: FloatArray) -> npt.NDArray[np.float64]:
         """(map rows, map cols) the value of each cell's square (squares,); 0 outside the area."""
