@@ -13,6 +13,7 @@ from dream.control import setpoint
 from dream.evaluation.runner import simulate
 from dream.geometry import Bounds
 from dream.mapping import OccupancyMap
+from dream.mapping.occupancy import SURE
 from dream.planning import Belief
 from dream.planning.space.belief import SpaceBelief
 from dream.planning.space.ground import GroundSearch
@@ -168,6 +169,8 @@ def test_ground_with_targets_is_searched_once_it_was_inspected_out_of_two_eighth
     occupancy.volume = volume
     reef = middles_in((1.0, 1.0, SEABED - PROTOCOL.cell), (3.0, 3.0, SEABED))
     vote(volume, reef, 1.0)
+    # Ground without targets needs no second one, but to be inspected at all.
+    ground = middles_in((-3.0, -3.0, SEABED - PROTOCOL.cell), (-1.0, -1.0, SEABED))
     row, col = occupancy.cell_of(2.0, 2.0)
     bare = occupancy.cell_of(-2.0, -2.0)
     water_over_it = InWater(mission())
@@ -175,12 +178,14 @@ def test_ground_with_targets_is_searched_once_it_was_inspected_out_of_two_eighth
     for side in (None, (1.0, 0.1, 1.0), (1.0, 0.2, 0.5), (0.1, 1.0, 1.0)):
         if side is not None:
             inspect(volume, reef, side)
+            inspect(volume, ground, side)
         occupancy._look_from_above(0.0, 0.0, SEABED + 2.0)
         occupancy._changed()
         assert occupancy.seen[row, col]
         assert occupancy.target[row, col]
+        assert occupancy.seen[bare]
         searched = water_over_it.searched(occupancy)
-        assert searched[bare] == occupancy.seen[bare]
+        assert searched[bare] == (side is not None)
         found.append(bool(searched[row, col]))
     assert found == [False, False, False, True]
 
@@ -191,8 +196,19 @@ def test_a_map_of_which_other_ground_counts_as_seen_leaves_the_map_as_it_was() -
     before, area = occupancy.observed, occupancy.to_see
     seen = np.zeros(occupancy.shape, np.bool_)
     seen[occupancy.cell_of(1.0, 1.0)] = True
-    other = occupancy.counting(seen, 5.0)
+    low, high = (np.zeros(occupancy.shape, np.bool_) for _ in range(2))
+    low[occupancy.cell_of(2.0, 0.0)] = high[occupancy.cell_of(-2.0, 0.0)] = True
+    occupancy._write("log_odds", (0, 0), np.where(low | high, SURE[0], 0).astype(np.int8))
+    assert np.array_equal(occupancy.solid, low | high)
+    other = occupancy.counting(seen, 5.0, low)
     assert np.array_equal(other.observed, seen | ~area)
+    # What is passed over stands in no way; all else does as before.
+    assert np.array_equal(other.solid, high)
+    assert other.traversable[low].all()
+    assert not other.traversable[high].any()
+    assert float(other.distance_to_solid[low][0]) == pytest.approx(4.0)
+    assert np.array_equal(occupancy.solid, low | high)
+    assert not occupancy.traversable[low].any()
     assert other.protocol == replace(PROTOCOL, reach=5.0)
     assert occupancy.protocol == PROTOCOL
     assert np.array_equal(occupancy.observed, before)

@@ -425,7 +425,7 @@ class OccupancyMap(Layers):
         margin, (rows, cols) = self._room_radius, self._shape
         flagged, odds = self._wide("flags").copy(), self._wide("log_odds").copy()
         inner = np.s_[margin : margin + rows, margin : margin + cols]
-        flagged[inner][below] |= flags.BARE | flags.SEABED
+        flagged[inner][below] |= flags.CROSSED | flags.BARE | flags.SEABED
         odds[inner][below] = SURE[1]
         names = ("target", "target_probability", "explored", "to_see", "ground", "distance_to_bounds")
         other._layers = {

@@ -91,7 +91,7 @@ class InWater:
         return np.asarray(occupancy.solid & (top + 0.5 * occupancy.volume.cell <= highest))
 
     def searched(self, occupancy: OccupancyMap) -> BoolArray:
-        """(rows, cols) what was seen of the ground, and where targets are told, inspected as `SIDES` asks."""
+        """(rows, cols) what was inspected of the ground; where targets are told, as `SIDES` asks."""
         from scipy.ndimage import uniform_filter
 
         assert occupancy.volume is not None
@@ -102,7 +102,7 @@ class InWater:
         np.bitwise_or.at(bearings, occupancy.cell_of(x[inside], y[inside]), surface.bearings[inside])
         width = max(1, round(AROUND * self.protocol.group_radius / self.protocol.cell))
         told = uniform_filter(occupancy.target.astype(np.float32), width, mode="nearest") >= TOLD
-        return np.asarray(occupancy.seen & (~told | (np.bitwise_count(bearings) >= SIDES)))
+        return np.asarray(occupancy.seen & (np.bitwise_count(bearings) >= np.where(told, SIDES, 1)))
 
     def into_the_open(self, observation: Observation, occupancy: OccupancyMap) -> Decision | None:
         """The way from above or beside what stands up to where a vehicle at its altitude can move on.
