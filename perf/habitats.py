@@ -31,18 +31,20 @@ from dream.sim.chart import INK, PAPER, chart
 from dream.sim.habitats import HABITATS
 from dream.sim.inspection import Inspection
 from dream.sim.render import Renderer
+from dream.sim.solids import Solids
 from dream.sim.validity import problems
 from dream.sim.world import World
 from dream.sim.worlds import make_world
+from dream.types import Label
 
 SEEDS = range(1, 26)
 ON_REEF = 0.5
 """Metres from an individual within which the bed is that of a reef."""
-SHOWN = {
-    "mound": 2, "ledge": 4, "carpet": 2, "tiny": 1, "dense": 2, "rocks": 5,
-    "holes": 5, "border": 1, "walls": 5, "two": 3, "wide": 3,
-}  # fmt: skip
-"""The seed of each family that the picture shows."""
+SHOWN = (
+    ("mound", 2), ("ledge", 2), ("carpet", 2), ("tiny", 1), ("dense", 2), ("rocks", 5),
+    ("rocks", 3), ("holes", 5), ("border", 1), ("walls", 4), ("two", 3), ("wide", 3),
+)  # fmt: skip
+"""What the picture shows, by family and seed."""
 VIEW_DISTANCE, VIEW_HEIGHT = 2.8, 1.5
 """Metres from what a view looks at, and over the bed there."""
 
@@ -158,36 +160,57 @@ def frames() -> None:
 
 
 def view(world: World) -> Image.Image:
-    """What the camera sees of the largest group, from the side that shows most individuals."""
-    renderer = Renderer(world)
-    largest = np.bincount(world.targets.group).argmax()
-    middle = world.targets.position[world.targets.group == largest].mean(axis=0).astype(np.float64)
+    """What the camera sees of individuals, from the side that shows most of them.
+
+    It looks at the middle of the largest group; where walls cut the reef, at what grows nearest to the first.
+    """
+    renderer, solids = Renderer(world), Solids(world)
+    places = world.targets.position.astype(np.float64)
+    if world.name == "reef/walls":
+        wall = world.obstacles.position[:1, :2]
+        middle = places[np.hypot(*(places[:, :2] - wall).T).argmin()]
+    else:
+        middle = places[world.targets.group == np.bincount(world.targets.group).argmax()].mean(axis=0)
     mount = camera_mount(math.radians(20.0))
     shown = []
     for yaw in np.arange(12) * math.pi / 6.0:
         x, y = middle[0] - VIEW_DISTANCE * math.cos(yaw), middle[1] - VIEW_DISTANCE * math.sin(yaw)
         if world.bounds.contains(x, y, 1.0):
             z = max(float(world.terrain.height(x, y)), middle[2] - 0.8) + VIEW_HEIGHT
+            if not solids.free_at([(x, y, z)], DREAM_V2_DRAFT).all():
+                continue
             frame = renderer.render(DREAM_V2_DRAFT.camera, SE3.level(x, y, z, yaw) @ mount)
-            shown.append((len(np.unique(frame.ids)), frame.rgb))
-    return Image.fromarray(max(shown, key=lambda each: each[0])[1])
+            solid = float((frame.labels == Label.OBSTACLE).mean()) if world.name == "reef/walls" else 0.0
+            shown.append((min(round(solid, 1), 0.2), len(np.unique(frame.ids)), frame.rgb))
+    return Image.fromarray(max(shown, key=lambda each: each[:2])[2])
+
+
+def _side_by_side(pictures: list[Image.Image]) -> Image.Image:
+    """All of them in one."""
+    one = Image.new(
+        "RGB", (sum(each.width for each in pictures), max(each.height for each in pictures)), PAPER
+    )
+    left = 0
+    for each in pictures:
+        one.paste(each, (left, 0))
+        left += each.width
+    return one
 
 
 def picture(path: Path) -> None:
-    """A chart and, under it, a view of each family, four abreast."""
+    """A chart and, under it, a view of each, four abreast."""
     wide, high, words, gap = 330, 248, 20, 8
     font = ImageFont.load_default(15)
-    names = list(HABITATS)
-    rows = -(-len(names) // 4)
+    rows = -(-len(SHOWN) // 4)
     cell = words + 2 * high + gap
     sheet = Image.new("RGB", (4 * (wide + gap) + gap, rows * (cell + gap) + gap), PAPER)
     draw = ImageDraw.Draw(sheet)
-    for number, name in enumerate(names):
-        family = name.removeprefix("reef/")
-        world = make_world(name, SHOWN[family])
+    maps, views = list[Image.Image](), list[Image.Image]()
+    for number, (family, seed) in enumerate(SHOWN):
+        world = make_world(f"reef/{family}", seed)
         left, top = gap + number % 4 * (wide + gap), gap + number // 4 * (cell + gap)
         box = world.bounds
-        said = f"{name} {world.seed}: {box.width:g} x {box.depth:g} m, {world.water.visibility:.1f} m clear"
+        said = f"{world.name} {seed}: {box.width:g} x {box.depth:g} m, {world.water.visibility:.1f} m clear"
         draw.text((left + 2, top + 1), said, fill=INK, font=font)
         # The chart's map without its legend, as large as its longer side allows.
         side = round(wide * 1.04)
@@ -203,10 +226,21 @@ def picture(path: Path) -> None:
         sheet.paste(map_, (left + (wide - map_.width) // 2, top + words + (high - map_.height) // 2))
         shown = view(world).resize((wide, high), Image.Resampling.LANCZOS)
         sheet.paste(shown, (left, top + words + high + 4))
+        maps.append(map_)
+        views.append(shown)
     buffer = io.BytesIO()
-    sheet.quantize(192, method=Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE).save(
-        buffer, "png", optimize=True
-    )
+    # A palette of both kinds of picture, so that the few red pixels of a chart's starts stay red.
+    colors = [
+        np.array(kind.quantize(count, method=method).getpalette("RGB")).reshape(-1, 3)[:count]
+        for kind, count, method in (
+            (_side_by_side(maps), 96, Image.Quantize.MAXCOVERAGE),
+            (_side_by_side(maps), 40, Image.Quantize.MEDIANCUT),
+            (_side_by_side(views), 120, Image.Quantize.MEDIANCUT),
+        )
+    ]
+    palette = Image.new("P", (1, 1))
+    palette.putpalette(np.concatenate(colors).astype(np.uint8).tobytes(), "RGB")
+    sheet.quantize(palette=palette, dither=Image.Dither.NONE).save(buffer, "png", optimize=True)
     path.write_bytes(buffer.getvalue())
     print(f"{path}: {len(buffer.getvalue()) // 1000} kB")
 
