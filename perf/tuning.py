@@ -34,7 +34,7 @@ SEED = 101
 CAP = 300
 SETTINGS: dict[str, tuple[str, ...]] = {
     "sweep-and-graze": ("", "swath=0.81", "swath=1.3", "glimpse=1.6", "glimpse=2.5"),
-    "mutual-information": ("", "tell=0", "tell=30", "beta=2", "level=0.3", "mean=0.2", "range=2.5"),
+    "mutual-information": ("", "tell=0", "tell=30", "beta=2", "level=0.3", "mean=0.2", "related=2.5"),
     "sixsteps": ("", "glimpse=2.5"),
 }
 """Planner → its settings, `name=value` with commas between; the default is empty."""

@@ -29,7 +29,7 @@ def test_it_goes_for_the_best_of_all_ways_by_what_they_tell_and_show_together() 
     goal = pilot.remains.goal
     assert goal is not None
     # The same, way by way: cells of target and squares of what the looks on the way show together.
-    planner, ground = pilot.planner, pilot.field
+    planner, ground = pilot.planner, pilot.ground
     travel = careful_travel(observation.pose, occupancy)
     bound = np.clip(ground.expected + planner.beta * np.sqrt(ground.variances), 0.0, 1.0)
     cells = ground.on_cells(np.where(bound >= planner.level, bound, 0.0)) * ~occupancy.observed

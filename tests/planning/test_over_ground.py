@@ -80,7 +80,7 @@ def test_it_moves_through_known_water_only(planner: Any) -> None:
         if move.done:
             break
         end = setpoint(here.pose, move, PROTOCOL, here.z)
-        start, goal = [here.pose.x, here.pose.y, here.z], [end.x, end.y, here.z if end.z is None else end.z]
+        start, goal = (here.pose.x, here.pose.y, here.z), (end.x, end.y, here.z if end.z is None else end.z)
         if start != goal:
             assert occupancy.volume.room([start], [goal]).clear.all()
         tilt = here.tilt if move.tilt is None else move.tilt

@@ -20,7 +20,7 @@ Array = np.ndarray[Any, Any]
 
 
 def field(area: Bounds = SMALL, protocol: SurveyProtocol = DREAM_V1) -> TargetField:
-    return TargetField(Mission(protocol, area, 200), range=6.0, mean=0.1, deviation=0.3)
+    return TargetField(Mission(protocol, area, 200), distance=6.0, mean=0.1, deviation=0.3)
 
 
 def dense(squares: TargetField) -> Array:

@@ -48,7 +48,7 @@ class TargetField:
     """
 
     mission: Mission
-    range: float
+    distance: float
     """Metres at which squares are correlated by about a tenth."""
     mean: float
     """Share of target that is expected where nothing is known."""
@@ -65,7 +65,7 @@ class TargetField:
     _cells: npt.NDArray[np.float64] = field(init=False)
     """(squares,) map cells of each."""
     _precision: csc_matrix = field(init=False)
-    _kept: npt.NDArray[np.intp] = field(init=False)
+    _kept: IntArray = field(init=False)
     """(n,) all squares that are not known, and some that are."""
     _covariance: npt.NDArray[np.float64] = field(init=False)
     """(n, n) of these; 0 of what is known."""
@@ -88,17 +88,16 @@ class TargetField:
         self._cells = self.on_squares(np.ones(self._of_cell.shape))
         self.known = np.zeros(rows * cols, np.bool_)
         self.share = np.zeros(rows * cols)
-        precision, covariance = prior(self.shape, self.range / side)
+        precision, covariance = prior(self.shape, self.distance / side)
         scale = self.deviation**2 / float(np.diag(covariance).mean())
-        precision.data /= scale
-        self._precision, self._covariance = precision, covariance * scale
+        self._precision, self._covariance = precision.multiply(1.0 / scale).tocsc(), covariance * scale
         self._kept = np.arange(rows * cols)
 
     def on_squares(self, cells: FloatArray | BoolArray) -> npt.NDArray[np.float64]:
         """(squares,) the sums of (map rows, map cols)."""
         squares = self.shape[0] * self.shape[1]
-        sums = np.bincount(self._of_cell.ravel(), np.asarray(cells, np.float64).ravel(), squares + 1)
-        return np.asarray(sums[:squares], np.float64)
+        weights = np.asarray(cells, np.float64).ravel()
+        return np.asarray(np.bincount(self._of_cell.ravel(), weights, squares + 1)[:squares], np.float64)
 
     def on_cells(self, squares: FloatArray) -> npt.NDArray[np.float64]:
         """(map rows, map cols) the value of each cell's square (squares,); 0 outside the area."""
@@ -161,10 +160,7 @@ class TargetField:
 
         The sum over some squares is never less than what they tell together (Hadamard's inequality).
         """
-        told: npt.NDArray[np.float64] = 0.5 * np.log(
-            np.maximum(self.variances * self._precision.diagonal(), 1.0)
-        )
-        return told
+        return np.asarray(0.5 * np.log(np.maximum(self.variances * self._precision.diagonal(), 1.0)))
 
     def information(self, squares: IntArray) -> float:
         """Nats that some squares (n,) tell of all else that is unknown; what is known tells nothing."""
@@ -193,7 +189,8 @@ def prior(shape: tuple[int, int], distance: float) -> tuple[csc_matrix, npt.NDAr
     for n in shape:
         degree = np.full(n, 2.0)
         degree[[0, -1]] = 1.0 if n > 1 else 0.0
-        along.append(diags([degree, -np.ones(n - 1), -np.ones(n - 1)], [0, -1, 1]))
+        steps: list[Any] = [degree, -np.ones(n - 1), -np.ones(n - 1)]
+        along.append(diags(steps, [0, -1, 1]))
         k, at = np.arange(n), np.arange(n) + 0.5
         waves = np.cos(np.pi / n * np.outer(at, k))
         vectors.append(waves / np.linalg.norm(waves, axis=0))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
@@ -11,6 +11,7 @@ from dream.geometry import SE2
 from dream.lattice import Pose
 from dream.options import First
 from dream.planning.baselines.lawnmower import Lawnmower
+from dream.planning.baselines.remains import group_cells
 from dream.planning.baselines.sweeping import Sweeping
 from dream.planning.far_hints import FarHints
 from dream.planning.parameters import check_range
@@ -32,7 +33,8 @@ class SweepAndGraze:
     leaves the lane and goes from one open stretch of that region's edge to the nearest next, until the
     region is closed or the rest of its edge cannot be seen; then it does the same with other open regions,
     goes to what seems to be targets up to `glimpse`, if it takes hints, and resumes the lanes where it left
-    them. It ends as the lawnmower does.
+    them. It ends as the lawnmower does. In space whole patches stay open until they were seen from two sides;
+    there a view of them has to show as much as one of new ground.
 
     Reference: the alternation of sweeping and close inspection of Bounomodes (arXiv 2507.06960).
 
@@ -50,6 +52,9 @@ class SweepAndGraze:
     least: float = 0.25
     """A waypoint is flown to if it shows this much new ground: share of the area of the smallest patch. So is
     a hint that shows this much of targets, by how often hints came true."""
+    edge: float = 0.0
+    """A view of an open edge is gone to if it shows this much of it: share of the area of the smallest patch,
+    one map cell at least."""
     glimpse: float = 1.0
     """Distance up to which pictures are searched for hints of targets, as a multiple of the reach. 1 takes no
     hints."""
@@ -58,6 +63,7 @@ class SweepAndGraze:
         check_range("swath", self.swath, 0.1, 4.0)
         check_range("inset", self.inset, 0.1, 4.0)
         check_range("least", self.least, 0.0, 100.0)
+        check_range("edge", self.edge, 0.0, 100.0)
         check_range("glimpse", self.glimpse, 1.0, 100.0)
 
     def begin(self, mission: Mission) -> _Grazing | OverGround:
@@ -69,18 +75,20 @@ class SweepAndGraze:
             return self.in_plane(mission)
         from dream.planning.space.over_ground import OverGround
 
-        return OverGround(mission, self.in_plane)
+        return OverGround(mission, replace(self, edge=max(self.edge, self.least)).in_plane)
 
     def in_plane(self, mission: Mission) -> _Grazing:
         """A pilot that keeps its altitude, under whatever protocol."""
         lanes = Lawnmower(swath=self.swath, inset=self.inset, least=self.least)
         hints = FarHints(mission, self.glimpse * mission.protocol.reach) if self.glimpse > 1.0 else None
-        return _Grazing(lanes.in_plane(mission), hints)
+        return _Grazing(lanes.in_plane(mission), self.edge * group_cells(mission.protocol), hints)
 
 
 @dataclass(slots=True)
 class _Grazing:
     sweeping: Sweeping
+    edge: float
+    """Cells of an open edge that a view must show, until a `done` was refused for less."""
     hints: FarHints | None = None
     """Of targets beyond the reach; None where none are taken."""
     region: tuple[float, float] | None = None
@@ -103,7 +111,7 @@ class _Grazing:
             weights[tuple(region.open_cells.T)] = 1.0
             weights *= worth
             views = viewpoints_from(travel, occupancy, weights, keep=self.goal)
-            view = views.nearest(1.0)
+            view = views.nearest(max(1.0, min(self.edge, remains.least)))
             if view is not None:
                 cell_x, cell_y = occupancy.center_of(*region.cells[0])
                 self.region = float(cell_x), float(cell_y)

@@ -54,7 +54,7 @@ class MutualInformation:
     """Standard deviations that the upper bound of the share of target lies above the mean."""
     level: First[float] = 0.15
     """Ground is looked for whose upper bound is at least this share of target."""
-    range: float = 4.0
+    related: float = 4.0
     """Distance at which squares are correlated by about a tenth, as a multiple of the radius of the smallest
     patch (1.5 m under dream-v1)."""
     mean: float = 0.1
@@ -70,7 +70,7 @@ class MutualInformation:
         check_range("tell", self.tell, 0.0, 1e6)
         check_range("beta", self.beta, 0.0, 100.0)
         check_range("level", self.level, 0.0, 1.0)
-        check_range("range", self.range, 0.1, 100.0)
+        check_range("related", self.related, 0.1, 100.0)
         check_range("mean", self.mean, 0.0, 1.0)
         check_range("deviation", self.deviation, 1e-3, 10.0)
         check_range("least", self.least, 0.0, 100.0)
@@ -93,7 +93,7 @@ class MutualInformation:
         return _Informed(
             self,
             Remains(mission, max(1.0, self.least * group_cells(protocol))),
-            TargetField(mission, self.range * protocol.group_radius, self.mean, self.deviation),
+            TargetField(mission, self.related * protocol.group_radius, self.mean, self.deviation),
         )
 
 
@@ -133,12 +133,12 @@ class _Worth:
 class _Informed:
     planner: MutualInformation
     remains: Remains
-    field: TargetField
+    ground: TargetField
 
     def decide(self, observation: Observation, occupancy: OccupancyMap) -> Decision:
         pose = observation.pose
         self.remains.look(pose, occupancy)
-        self.field.learn(occupancy)
+        self.ground.learn(occupancy)
         travel = careful_travel(pose, occupancy)
         going = self.remains.go(pose, travel, occupancy, lambda way: self._best(way, occupancy))
         if going is None:
@@ -152,7 +152,7 @@ class _Informed:
         return replace(decision, reasoning=Reasoning(action=action))
 
     def _worth(self, occupancy: OccupancyMap) -> _Worth:
-        planner, ground = self.planner, self.field
+        planner, ground = self.planner, self.ground
         bound = np.clip(ground.expected + planner.beta * np.sqrt(ground.variances), 0.0, 1.0)
         # After a refused `done` all ground counts, however little is expected there.
         shares = np.where(bound >= planner.level, bound, 0.0) if self.remains.claims == 0 else 1.0
@@ -164,8 +164,8 @@ class _Informed:
     def _best(self, travel: Travel, occupancy: OccupancyMap) -> Viewpoint | None:
         """The end of the best way; None where none is worth it."""
         planner, worth = self.planner, self._worth(occupancy)
-        alone = planner.tell * self.field.of_one() / np.maximum(worth.squares, 1.0)
-        weights = worth.target + np.where(worth.target > 0.0, self.field.on_cells(alone), 0.0)
+        alone = planner.tell * self.ground.of_one() / np.maximum(worth.squares, 1.0)
+        weights = worth.target + np.where(worth.target > 0.0, self.ground.on_cells(alone), 0.0)
         views = viewpoints_from(travel, occupancy, weights.astype(np.float32), keep=self.remains.goal)
         best: Viewpoint | None = None
         for one in self._promising(views):
