@@ -149,7 +149,7 @@ class Seal:
 
     Examples:
         dream seal new sealing.key
-        dream bench sealed --key sealing.key
+        dream seal show sealing.key --blocks 0..9
     """
 
     command: (

@@ -620,7 +620,7 @@ def _manifest(plan: Plan, folder: Path, engine: Engine) -> dict[str, Any]:
         "protocol": _as_json(plan.protocol),
         "max_steps": plan.max_steps,
         **({} if swims is None else {"swimming": _as_json(swims)}),
-        **({} if plan.sealed is None else {"sealed": plan.sealed.as_dict()}),
+        "sealed": None if plan.sealed is None else plan.sealed.as_dict(),
         "files": {name: given for name, planner in plan.planners.items() if (given := files_given(planner))},
         **machine.code(),
         **machine.libraries(),
