@@ -8,14 +8,22 @@ from itertools import combinations
 import pytest
 
 from dream.evaluation.comparison import FAMILIES
-from dream.evaluation.suites import REEF_FAMILIES, SUITES, Case, family_of, suite_named
+from dream.evaluation.suites import REEF_FAMILIES, SUITES, WEAK, Case, family_of, suite_named
 from dream.sim.habitats import HABITATS
 from dream.sim.worlds import WORLDS
 
+FAMILIES = [name.removeprefix("reef/") for name in HABITATS]
 EXPECTED = {
     "paper": {"fringing": 1, "string": 1, "patch": 1, "mixed": 2, "letter": 5, "wreck": 5},
     "dev": {**dict.fromkeys(REEF_FAMILIES, 5), "letter": 20, "wreck": 20},
     "test": {**dict.fromkeys(REEF_FAMILIES, 25), "letter": 50, "wreck": 50},
+    "dev-v2": {
+        **dict.fromkeys(FAMILIES, 25),
+        **{name.removeprefix("reef/"): 100 for name in WEAK},
+        "wreck": 20,
+        "several": 10,
+    },
+    "test-v2": {**dict.fromkeys(FAMILIES, 25), "wreck": 50, "several": 25},
 }
 
 
@@ -24,7 +32,7 @@ def test_a_suite_has_as_many_worlds_of_each_family_as_it_says(name: str) -> None
     cases = suite_named(name)
     assert Counter(family_of(case.world) for case in cases) == EXPECTED[name]
     assert len(set(cases)) == len(cases)
-    assert {case.world for case in cases} <= set(WORLDS)
+    assert {part for case in cases for part in case.world.split("+")} <= set(WORLDS)
 
 
 def test_no_world_is_in_two_suites() -> None:

@@ -14,7 +14,7 @@ from dream.planning.space.looks import nearest_tilt
 from dream.planning.space.ways import ways_in
 from dream.planning.travel import careful_standoff, careful_travel
 from dream.protocol import SurveyProtocol
-from dream.types import BoolArray, Decision, Float32Array, Mission, Observation, Reasoning
+from dream.types import BoolArray, Decision, Mission, Observation, Reasoning
 
 if TYPE_CHECKING:
     from dream.mapping import OccupancyMap
@@ -26,21 +26,15 @@ HOLE = 0.5
 """Metres: holes in ground that was searched are not gone back for up to that radius."""
 LEFT = 0.01
 """Share of the ground that may lie in larger holes when the search ends."""
-AROUND = 2.0
-"""Side of the square in which labels decide whether there are targets, in radii of the least group."""
-TOLD = 0.3
-"""Share of it from which on there are: on a reef two or three cells of five are told to be target."""
+SIDES = 2
+"""Eighths of the compass out of which ground is to be inspected: individuals hide one another, and each its
+own far side."""
 HIDDEN = 0.02, 0.05, 0.02, 0.0
 """Share of the individuals in cells that were seen which are not inspected yet, by the eighths of the compass
 out of which their cells were: none, one, two, three or more. Found in half-flown missions in worlds of no
 suite."""
-BARE = 0.02
-"""Share of target that is expected where none is told."""
-ACCEPTED = 0.012
-"""Share of the targets that may be missed when the search ends, as it is estimated."""
-
-SIDES = 2
-"""Eighths of the compass out of which ground with targets is to be inspected: they hide one another."""
+ACCEPTED = 0.01
+"""Share of the individuals that may be missed when the search ends, as it is estimated."""
 AHEAD = 3.0
 """Metres of water ahead that are to be known for the camera to look down."""
 ROOM = 16
@@ -64,9 +58,7 @@ class InWater:
     seen: BoolArray = field(init=False)
     """(rows, cols) what was seen when `searched` was asked last, and then ..."""
     sides: npt.NDArray[np.uint8] = field(init=False)
-    """(rows, cols) out of how many eighths of the compass it was inspected, and ..."""
-    told: Float32Array = field(init=False)
-    """(rows, cols) share of what is around that is told to be target."""
+    """(rows, cols) out of how many eighths of the compass it was inspected."""
 
     def __post_init__(self) -> None:
         whole = self.mission.protocol
@@ -86,22 +78,18 @@ class InWater:
         return occupancy.counting(self.searched(occupancy), self.protocol.reach, self.passed_over(occupancy))
 
     def searched(self, occupancy: OccupancyMap) -> BoolArray:
-        """(rows, cols) what was inspected of the ground; where targets are told, as `SIDES` asks."""
-        from scipy.ndimage import uniform_filter
-
+        """(rows, cols) what was inspected of the ground as `SIDES` asks."""
         assert occupancy.volume is not None
         surface = occupancy.volume.surface()
         x, y = surface.middles[:, :2].T
         inside = occupancy.contains(x, y)
         bearings = np.zeros(occupancy.shape, np.uint8)
         np.bitwise_or.at(bearings, occupancy.cell_of(x[inside], y[inside]), surface.bearings[inside])
-        width = max(1, round(AROUND * self.protocol.group_radius / self.protocol.cell))
         self.seen, self.sides = occupancy.seen, np.bitwise_count(bearings)
-        self.told = uniform_filter(occupancy.target.astype(np.float32), width, mode="nearest")
-        return np.asarray(self.seen & (self.sides >= np.where(self.told >= TOLD, SIDES, 1)))
+        return np.asarray(self.seen & (self.sides >= SIDES))
 
     def enough(self, hiding: BoolArray, near: OccupancyMap) -> bool:
-        """May the search end: is hardly any ground left, or are hardly any targets?
+        """May the search end: is hardly any ground left, or hardly any individual missed?
 
         Args:
             hiding: (rows, cols) middles of discs of the radius `HOLE` in which nothing was searched.
@@ -113,17 +101,14 @@ class InWater:
         return self.missed(left & ~self.seen, near.to_see) <= ACCEPTED
 
     def missed(self, unseen: BoolArray, to_see: BoolArray) -> float:
-        """Share of the targets that is not inspected yet, as it is estimated.
-
-        Targets are expected where labels tell of some, and hide one another as `HIDDEN` has it.
+        """Share of the individuals that is not inspected yet, as it is estimated, wherever they are.
 
         Args:
             unseen: (rows, cols) ground that could hold some, and was not seen.
             to_see: (rows, cols) all that counts.
         """
-        weight = np.where(to_see, self.told + BARE, 0.0)
         hidden = np.where(self.seen, np.array(HIDDEN)[np.minimum(self.sides, 3)], unseen)
-        return float((weight * hidden).sum() / weight.sum())
+        return float(hidden[to_see].mean())
 
     def passed_over(self, occupancy: OccupancyMap) -> BoolArray:
         """(rows, cols) what stands up, but so low that the vehicle passes over it at the search's height."""
