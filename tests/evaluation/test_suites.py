@@ -12,18 +12,18 @@ from dream.evaluation.suites import REEF_FAMILIES, SUITES, WEAK, Case, family_of
 from dream.sim.habitats import HABITATS
 from dream.sim.worlds import WORLDS
 
-FAMILIES = [name.removeprefix("reef/") for name in HABITATS]
+WIDE = [name.removeprefix("reef/") for name in HABITATS]
 EXPECTED = {
     "paper": {"fringing": 1, "string": 1, "patch": 1, "mixed": 2, "letter": 5, "wreck": 5},
     "dev": {**dict.fromkeys(REEF_FAMILIES, 5), "letter": 20, "wreck": 20},
     "test": {**dict.fromkeys(REEF_FAMILIES, 25), "letter": 50, "wreck": 50},
     "dev-v2": {
-        **dict.fromkeys(FAMILIES, 25),
+        **dict.fromkeys(WIDE, 25),
         **{name.removeprefix("reef/"): 100 for name in WEAK},
         "wreck": 20,
         "several": 10,
     },
-    "test-v2": {**dict.fromkeys(FAMILIES, 25), "wreck": 50, "several": 25},
+    "test-v2": {**dict.fromkeys(WIDE, 25), "wreck": 50, "several": 25},
 }
 
 
