@@ -16,7 +16,7 @@ from dream.evaluation.metrics import Scorer, sight_in
 from dream.evaluation.runner import simulate
 from dream.live.cockpit import served
 from dream.live.doors import Doors
-from dream.live.helm import Helm
+from dream.live.helm import Helmsman
 from dream.live.server import listen
 from dream.protocol import DREAM_V1, SHOWN, SurveyProtocol
 from dream.sim.world import World
@@ -74,7 +74,7 @@ class Browser:
 class Flying:
     """A mission at a helm, in a thread of its own, and the server of its page."""
 
-    helm: Helm
+    helm: Helmsman
     port: int
     steps: list[Step] = field(default_factory=list)
     scores: list[float] = field(default_factory=list)
@@ -94,7 +94,7 @@ class Flying:
 def fly(world: World, protocol: SurveyProtocol, planner: Any, most: int) -> Iterator[tuple[Step, float]]:
     visibility = sight_in(world, protocol)
     scorer = Scorer(world, protocol, visibility=visibility)
-    fineness = SHOWN if isinstance(planner, Helm) else None
+    fineness = SHOWN if isinstance(planner, Helmsman) else None
     for step in simulate(world, planner, protocol, start=1, max_steps=most, fineness=fineness):
         yield step, scorer.add(step).instances
 
@@ -102,7 +102,7 @@ def fly(world: World, protocol: SurveyProtocol, planner: Any, most: int) -> Iter
 @contextlib.contextmanager
 def flown(world: World, protocol: SurveyProtocol = DREAM_V1, most: int = 6) -> Iterator[Flying]:
     """A mission that waits for a person, and its page."""
-    helm, listening = Helm(protocol), listen("127.0.0.1", 0)
+    helm, listening = Helmsman(protocol), listen("127.0.0.1", 0)
     flying = Flying(helm, listening.getsockname()[1])
 
     def mission() -> None:

@@ -15,7 +15,7 @@ pytest.importorskip("fastapi")
 pytest.importorskip("uvicorn")
 
 from dream.live import cockpit
-from dream.live.helm import Said, Seat, moves_of
+from dream.live.helm import SaidStep, Seat, moves_of
 from dream.mapping import OccupancyMap
 from dream.planning import PLANNERS, Human
 from dream.protocol import DREAM_V1, DREAM_V2_DRAFT, DREAM_V2_TRUE_DRAFT, PROTOCOLS, SurveyProtocol
@@ -286,15 +286,15 @@ def test_the_seat_is_held_for_a_while_and_kept_where_nobody_takes_it() -> None:
 def test_what_a_page_offers_is_what_the_protocol_allows_to_the_last_bit(protocol: SurveyProtocol) -> None:
     moves = moves_of(protocol)
     for turn in moves["turns"]:
-        said = Said.read(json.dumps({"step": 4, "turn_deg": turn}).encode())
+        said = SaidStep.read(json.dumps({"step": 4, "turn_deg": turn}).encode())
         assert said.decision(protocol).turn in protocol.turn_angles
     for advance in moves["advances"]:
-        said = Said.read(json.dumps({"step": 4, "advance_m": advance}).encode())
+        said = SaidStep.read(json.dumps({"step": 4, "advance_m": advance}).encode())
         assert said.decision(protocol).advance in (0.0, *protocol.advances)
     for climb in moves["climbs"]:
-        assert Said(step=4, climb_m=climb).decision(protocol).climb in protocol.climbs
+        assert SaidStep(step=4, climb_m=climb).decision(protocol).climb in protocol.climbs
     for tilt in moves["tilts"] if moves["space"] else ():
-        assert Said(step=4, tilt_deg=tilt).decision(protocol).tilt in protocol.tilts
+        assert SaidStep(step=4, tilt_deg=tilt).decision(protocol).tilt in protocol.tilts
 
 
 def test_a_person_is_no_planner_that_a_command_flies_by_itself() -> None:

@@ -103,7 +103,7 @@ class Fly:
         )
         from dream.live.cockpit import served
         from dream.live.doors import Doors, made_token
-        from dream.live.helm import Helm
+        from dream.live.helm import Helmsman
         from dream.live.server import address, listen
         from dream.protocol import SHOWN
         from dream.sim.ordered import protocol_in
@@ -117,7 +117,7 @@ class Fly:
                     world = open_world(self.world, self.seed)
                 protocol = protocol_in(world, self.protocol)
                 check_max_steps(self.max_steps, protocol)
-                helm = Helm(protocol)
+                helm = Helmsman(protocol)
                 with stage(f"preparing {world.name} {world.seed}"):
                     visibility, renderer = sight_in(world, protocol), Renderer(world)
                 steps = simulate(

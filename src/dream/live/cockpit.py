@@ -16,7 +16,7 @@ from http.cookies import CookieError, SimpleCookie
 from typing import TYPE_CHECKING, Any
 
 from dream.live.doors import Doorkeeper, Doors, cookie_name
-from dream.live.helm import Helm, Said, Seat, moves_of
+from dream.live.helm import Helmsman, SaidStep, Seat, moves_of
 from dream.live.server import MAX_PAGES, NEVER, Admit, host, own_part
 from dream.report import fill, part
 
@@ -40,7 +40,7 @@ _SEAT = re.compile(r"[A-Za-z0-9_-]{22}")
 
 
 def cockpit(
-    helm: Helm,
+    helm: Helmsman,
     doors: Doors,
     admit: Admit = lambda client: True,
     closing: Callable[[], bool] = lambda: False,
@@ -107,7 +107,7 @@ def cockpit(
         if not who or seat.hear(who) != "yours":
             return refused(409, "Another page is at the helm.")
         try:
-            said = Said.read(await _body(request))
+            said = SaidStep.read(await _body(request))
             helm.say(said)
         except ValueError as error:
             return refused(400, str(error))
@@ -137,7 +137,7 @@ def cockpit(
     return Doorkeeper(app, doors, admit, WRITES)
 
 
-def _page(helm: Helm) -> tuple[str, str, str]:
+def _page(helm: Helmsman) -> tuple[str, str, str]:
     """HTML, style and script of the page."""
     own = {name: own_part(name) for name in ("fly.html", "fly.css", "fly.js")}
     fixed = html.escape(json.dumps(moves_of(helm.protocol)))
@@ -172,7 +172,7 @@ def _who(request: Request) -> str:
 
 
 @contextlib.contextmanager
-def served(helm: Helm, doors: Doors, listening: socket.socket) -> Iterator[None]:
+def served(helm: Helmsman, doors: Doors, listening: socket.socket) -> Iterator[None]:
     """Serve the page of a helm while the block runs, in a thread of its own, and a little longer.
 
     Args:

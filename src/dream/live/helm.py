@@ -1,8 +1,8 @@
 """A person at the helm: what a planner is told goes to a page, and what the person says becomes a decision.
 
-The thread of the mission waits in `Helm.decide`; those of a server read `Helm.view` and call `Helm.say`. A
-page is made from the two arguments of `decide` alone, and from what the guard made of the last decision: of
-the truth there is nothing to show.
+The thread of the mission waits in `Helmsman.decide`; that of a server reads `Helmsman.view` and calls
+`Helmsman.say`. A page is made from the two arguments of `decide` alone, and from what the guard made of the
+last decision: of the truth there is nothing to show.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ AWAY_S = 30.0
 _Number = Annotated[float, Field(ge=-1e6, le=1e6)]
 
 
-class Said(BaseModel):
+class SaidStep(BaseModel):
     """What a person says: one step, or that it is complete. Degrees and metres; left and up are positive."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
@@ -48,7 +48,7 @@ class Said(BaseModel):
     done: bool = False
 
     @classmethod
-    def read(cls, content: bytes) -> Said:
+    def read(cls, content: bytes) -> SaidStep:
         """From JSON; a ValueError that names the field where it is something else."""
         try:
             return cls.model_validate_json(content)
@@ -105,7 +105,7 @@ def moves_of(protocol: SurveyProtocol) -> dict[str, Any]:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class View:
+class HelmView:
     """What the page shows."""
 
     number: int
@@ -116,7 +116,7 @@ class View:
     """PNG files by name: what a model that sees is shown (`planning.vlm.pictures`)."""
 
 
-class Helm:
+class Helmsman:
     """Planner and pilot of one mission, whose decisions a person makes.
 
     The person's time is the planner's (`Step.planner_s`). On the mission's clock nobody waits: as with every
@@ -129,7 +129,7 @@ class Helm:
         """Of a mission by these rules that is still to begin."""
         self.protocol = protocol
         self._changed = threading.Condition()
-        self._view = View(0, {"state": "starting"})
+        self._view = HelmView(0, {"state": "starting"})
         self._awaited: int | None = None
         self._decision: Decision | None = None
         self._most = protocol.cap
@@ -140,7 +140,7 @@ class Helm:
 
     # ---- the mission's side
 
-    def begin(self, mission: Mission) -> Helm:
+    def begin(self, mission: Mission) -> Helmsman:
         """A mission begins: nothing is shown before its first decision."""
         self._most, self._flown = mission.max_steps, mission.flown
         return self
@@ -203,16 +203,16 @@ class Helm:
         }
 
     def _publish(self, told: Mapping[str, Any], pictures: Mapping[str, bytes]) -> None:
-        self._view = View(self._view.number + 1, told, pictures)
+        self._view = HelmView(self._view.number + 1, told, pictures)
 
     # ---- the server's side
 
     @property
-    def view(self) -> View:
+    def view(self) -> HelmView:
         """What there is to show now."""
         return self._view
 
-    def say(self, said: Said) -> None:
+    def say(self, said: SaidStep) -> None:
         """Decide the step that is waited for.
 
         Raises:
