@@ -69,7 +69,12 @@ def test_a_run_tells_by_which_rules_it_was_flown() -> None:
     there = ordered_in(world, DREAM_V2_DRAFT)
     told = {name: getattr(there, name) for name in ORDERED}
     config = RunConfig(
-        version="0", protocol=there.name, ordered=OrderedRules(**told), world="flat/empty", seed=1, planner="belief"
+        version="0",
+        protocol=there.name,
+        ordered=OrderedRules(**told),
+        world="flat/empty",
+        seed=1,
+        planner="belief",
     )
     assert config.rules == there
     assert config.model_copy(update={"ordered": None}).rules == DREAM_V2_DRAFT

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
 from dream.mapping import within
 from dream.planning.space.looks import nearest_tilt
@@ -26,15 +25,12 @@ HOLE = 0.5
 """Metres: holes in ground that was searched are not gone back for up to that radius."""
 LEFT = 0.01
 """Share of the ground that may lie in larger holes when the search ends."""
+AROUND = 2.0
+"""Side of the square in which labels decide whether there are targets, in radii of the least group."""
+TOLD = 0.2
+"""Share of it from which on there are: on a reef two or three cells of five are told to be target."""
 SIDES = 2
-"""Eighths of the compass out of which ground is to be inspected: individuals hide one another, and each its
-own far side."""
-HIDDEN = 0.02, 0.05, 0.02, 0.0
-"""Share of the individuals in cells that were seen which are not inspected yet, by the eighths of the compass
-out of which their cells were: none, one, two, three or more. Found in half-flown missions in worlds of no
-suite."""
-ACCEPTED = 0.01
-"""Share of the individuals that may be missed when the search ends, as it is estimated."""
+"""Eighths of the compass out of which ground with targets is to be inspected: they hide one another."""
 AHEAD = 3.0
 """Metres of water ahead that are to be known for the camera to look down."""
 ROOM = 16
@@ -55,10 +51,6 @@ class InWater:
     """With the reach over ground."""
     height: float = field(init=False)
     """Metres above ground at which it is searched."""
-    seen: BoolArray = field(init=False)
-    """(rows, cols) what was seen when `searched` was asked last, and then ..."""
-    sides: npt.NDArray[np.uint8] = field(init=False)
-    """(rows, cols) out of how many eighths of the compass it was inspected."""
 
     def __post_init__(self) -> None:
         whole = self.mission.protocol
@@ -77,38 +69,15 @@ class InWater:
         """The map to a pilot of the plane, to be read until the map changes."""
         return occupancy.counting(self.searched(occupancy), self.protocol.reach, self.passed_over(occupancy))
 
-    def searched(self, occupancy: OccupancyMap) -> BoolArray:
-        """(rows, cols) what was inspected of the ground as `SIDES` asks."""
-        assert occupancy.volume is not None
-        surface = occupancy.volume.surface()
-        x, y = surface.middles[:, :2].T
-        inside = occupancy.contains(x, y)
-        bearings = np.zeros(occupancy.shape, np.uint8)
-        np.bitwise_or.at(bearings, occupancy.cell_of(x[inside], y[inside]), surface.bearings[inside])
-        self.seen, self.sides = occupancy.seen, np.bitwise_count(bearings)
-        return np.asarray(self.seen & (self.sides >= SIDES))
-
     def enough(self, hiding: BoolArray, near: OccupancyMap) -> bool:
-        """May the search end: is hardly any ground left, or hardly any individual missed?
+        """Is so little of the ground left, in holes with these middles (rows, cols), that the search may end?
 
         Args:
-            hiding: (rows, cols) middles of discs of the radius `HOLE` in which nothing was searched.
+            hiding: Middles of discs of the radius `HOLE` in which nothing was searched.
             near: See `from_above`.
         """
         left = within(hiding, HOLE, self.protocol.cell) & ~near.observed
-        if np.count_nonzero(left) <= LEFT * np.count_nonzero(near.to_see):
-            return True
-        return self.missed(left & ~self.seen, near.to_see) <= ACCEPTED
-
-    def missed(self, unseen: BoolArray, to_see: BoolArray) -> float:
-        """Share of the individuals that is not inspected yet, as it is estimated, wherever they are.
-
-        Args:
-            unseen: (rows, cols) ground that could hold some, and was not seen.
-            to_see: (rows, cols) all that counts.
-        """
-        hidden = np.where(self.seen, np.array(HIDDEN)[np.minimum(self.sides, 3)], unseen)
-        return float(hidden[to_see].mean())
+        return bool(np.count_nonzero(left) <= LEFT * np.count_nonzero(near.to_see))
 
     def passed_over(self, occupancy: OccupancyMap) -> BoolArray:
         """(rows, cols) what stands up, but so low that the vehicle passes over it at the search's height."""
@@ -120,6 +89,20 @@ class InWater:
         np.maximum.at(top, occupancy.cell_of(*middles[inside, :2].T), middles[inside, 2])
         highest = occupancy.ground + self.height - self.protocol.space.lowest
         return np.asarray(occupancy.solid & (top + 0.5 * occupancy.volume.cell <= highest))
+
+    def searched(self, occupancy: OccupancyMap) -> BoolArray:
+        """(rows, cols) what was seen of the ground, and where targets are told, inspected as `SIDES` asks."""
+        from scipy.ndimage import uniform_filter
+
+        assert occupancy.volume is not None
+        surface = occupancy.volume.surface()
+        x, y = surface.middles[:, :2].T
+        inside = occupancy.contains(x, y)
+        bearings = np.zeros(occupancy.shape, np.uint8)
+        np.bitwise_or.at(bearings, occupancy.cell_of(x[inside], y[inside]), surface.bearings[inside])
+        width = max(1, round(AROUND * self.protocol.group_radius / self.protocol.cell))
+        told = uniform_filter(occupancy.target.astype(np.float32), width, mode="nearest") >= TOLD
+        return np.asarray(occupancy.seen & (~told | (np.bitwise_count(bearings) >= SIDES)))
 
     def into_the_open(self, observation: Observation, occupancy: OccupancyMap) -> Decision | None:
         """The way from above or beside what stands up to where a vehicle at its altitude can move on.
