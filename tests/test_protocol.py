@@ -103,7 +103,7 @@ def test_a_planar_protocol_has_one_tilt_and_no_climb() -> None:
 
 
 def test_dream_v2_draft_is_the_noisy_one_in_space_with_errors_that_last() -> None:
-    assert replace(DREAM_V2_DRAFT, name="dream-v1-noisy", space=None, lasting=None) == DREAM_V1_NOISY
+    assert replace(DREAM_V2_DRAFT, name="dream-v1-noisy", cap=200, space=None, lasting=None) == DREAM_V1_NOISY
     assert DREAM_V2_DRAFT.climbs == (-1.0, -0.5, 0.0, 0.5, 1.0)
     assert DREAM_V2_DRAFT.camera_pitch in DREAM_V2_DRAFT.tilts
     assert replace(DREAM_V2_DRAFT, name="dream-v2-draft-true", noise=None, lasting=None) == protocol_named(

@@ -16,6 +16,7 @@ from dream.protocol import (
     DREAM_V1_NAV,
     DREAM_V1_NOISY,
     DREAM_V2_DRAFT,
+    ORDERED,
     POOL_V1,
     PROTOCOLS,
     SHOWN,
@@ -98,7 +99,7 @@ def test_the_draft_is_told() -> None:
     draft = DREAM_V2_DRAFT
     assert draft.space is not None
     space = draft.space
-    assert replace(draft, name="dream-v1-noisy", space=None, lasting=None) == DREAM_V1_NOISY
+    assert replace(draft, name="dream-v1-noisy", cap=200, space=None, lasting=None) == DREAM_V1_NOISY
     _, rows = tables_under("In three dimensions")[0]
     assert {row[0].strip("`"): row[2] for row in rows} == {
         "climbs": ", ".join(f"±{climb:g}" for climb in space.climbs if climb > 0.0) + " m",
@@ -115,10 +116,21 @@ def test_the_draft_is_told() -> None:
     assert f"the reach of {draft.reach:g} m is straight through the water" in WORDS
 
 
+def test_what_goes_by_the_site_is_told() -> None:
+    _, rows = tables_under("In three dimensions")[1]
+    assert {row[0].strip("`") for row in rows} == set(ORDERED)
+    draft = DREAM_V2_DRAFT
+    assert next(row[1] for row in rows if row[0] == "`cap`").endswith(f"at least {draft.cap}")
+    assert f"{draft.trusted:g} m with the errors below" in WORDS
+    for area, labels, told in ((45.0**2, 8.0, "300 steps"), (70.0**2, 8.0, "700"), (70.0**2, 3.5, "1,400")):
+        assert f"{draft.ordered(area, labels, 1.5).cap:,}" == told.split()[0]
+        assert told in WORDS
+
+
 def test_the_range_in_every_water_is_told(capsys: pytest.CaptureFixture[str]) -> None:
     assert run_command(["worlds", "--waters"]) == 0
     printed = capsys.readouterr().out.splitlines()[1 : 1 + len(WATERS)]
-    _, rows = tables_under("In three dimensions")[1]
+    _, rows = tables_under("In three dimensions")[2]
     assert [[row[0].strip("`"), *row[1:]] for row in rows] == [
         re.split(r"\s{2,}", line.strip()) for line in printed
     ]

@@ -30,7 +30,7 @@ class Stands:
     """Of these meshes, counted from 0."""
 
 
-class Structure(Protocol):
+class StandingStructure(Protocol):
     """What stands on the seabed of an arena beside the usual boulders: rocks, a ridge, a quay."""
 
     def feet(self) -> Float64Array:
@@ -44,7 +44,7 @@ def world_of(
     arena: Arena,
     habitats: Sequence[Habitat],
     rng: np.random.Generator,
-    structures: Sequence[Structure] = (),
+    structures: Sequence[StandingStructure] = (),
     near: Float64Array | None = None,
     *,
     strewn: bool = True,
