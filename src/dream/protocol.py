@@ -246,7 +246,7 @@ class SurveyProtocol:
             group_radius: Metres: no group that is looked for is smaller.
         """
         there = replace(self, reach=min(self.reach, labels), group_radius=group_radius)
-        return replace(there, cap=max(self.cap, math.ceil(area / there.trusted)))
+        return replace(there, cap=max(self.cap, math.ceil(area / there.trusted - 1e-6)))
 
     @property
     def T_base_camera(self) -> SE3:

@@ -49,7 +49,7 @@ def test_reach_cap_and_least_group_go_by_the_site(
     assert there.reach == min(protocol.reach, labels)
     assert there.trusted <= there.reach
     assert there.group_radius == group
-    assert there.cap == max(protocol.cap, math.ceil(east * north / there.trusted))
+    assert there.cap == max(protocol.cap, math.ceil(east * north / there.trusted - 1e-6))
     # Once ordered, it stays what it is, and nothing else of it changes.
     assert ordered_in(world, there) == there
     assert replace(there, **{name: getattr(protocol, name) for name in ORDERED}) == protocol
