@@ -25,8 +25,8 @@ HOLE = 0.5
 """Metres: holes in ground that was searched are not gone back for up to that radius."""
 LEFT = 0.01
 """Share of the ground that may lie in larger holes when the search ends."""
-AROUND = 2.0
-"""Side of the square in which labels decide whether there are targets, in radii of the least group."""
+AROUND = 1.0
+"""Metres a side of the square in which labels decide whether there are targets."""
 TOLD = 0.2
 """Share of it from which on there are: on a reef two or three cells of five are told to be target."""
 SIDES = 2
@@ -100,7 +100,7 @@ class InWater:
         inside = occupancy.contains(x, y)
         bearings = np.zeros(occupancy.shape, np.uint8)
         np.bitwise_or.at(bearings, occupancy.cell_of(x[inside], y[inside]), surface.bearings[inside])
-        width = max(1, round(AROUND * self.protocol.group_radius / self.protocol.cell))
+        width = round(AROUND / self.protocol.cell)
         told = uniform_filter(occupancy.target.astype(np.float32), width, mode="nearest") >= TOLD
         return np.asarray(occupancy.seen & (~told | (np.bitwise_count(bearings) >= SIDES)))
 
