@@ -177,7 +177,9 @@ def view(world: World) -> Image.Image:
         x, y = middle[0] - VIEW_DISTANCE * math.cos(yaw), middle[1] - VIEW_DISTANCE * math.sin(yaw)
         if world.bounds.contains(x, y, 1.0):
             z = max(float(world.terrain.height(x, y)), middle[2] - 0.8) + VIEW_HEIGHT
-            if not solids.free_at([(x, y, z)], DREAM_V2_DRAFT).all():
+            above, _ = solids.ranges((x, y, z), [(0.0, 0.0, 1.0)], limit=5.0)
+            # Neither touching anything nor inside a wall.
+            if np.isfinite(above).any() or not solids.free_at([(x, y, z)], DREAM_V2_DRAFT).all():
                 continue
             frame = renderer.render(DREAM_V2_DRAFT.camera, SE3.level(x, y, z, yaw) @ mount)
             solid = float((frame.labels == Label.OBSTACLE).mean()) if world.name == "reef/walls" else 0.0

@@ -366,9 +366,9 @@ def test_two_habitats_lie_in_two_parts() -> None:
         box = world.bounds
         along = world.targets.position[:, 0 if box.width > box.depth else 1].astype(float)
         longer = max(box.width, box.depth)
-        # Somewhere about the middle, nothing grows for metres.
+        # Somewhere about the middle, nothing grows for four metres, but for what a ledge sways.
         middle = np.sort(along[np.abs(along) < 0.3 * longer])
-        assert np.diff(middle, prepend=-0.3 * longer, append=0.3 * longer).max() > 2.0
+        assert np.diff(middle, prepend=-0.3 * longer, append=0.3 * longer).max() > (2.0 if slopes.max() > 1.0 else 4.0)
     assert len(kinds) == 4
 
 
