@@ -28,7 +28,7 @@ from dream.evaluation.suites import SEALED_FAMILIES, Case
 TAG = "dream sealed 1"
 """Begins whatever is hashed here, so that no hash of anything else is one of these."""
 WORLDS_OF_BLOCK = 60
-"""With six families, one is missing from a block with a probability of 1 in 9,000."""
+"""With thirteen families, one is missing from about every tenth block."""
 MOST_BLOCKS = 100
 """Blocks at most of one command, and of a file."""
 LAST_BLOCK = 999_999
