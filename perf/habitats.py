@@ -3,6 +3,7 @@
     python perf/habitats.py table                  the table of docs/habitats.md: 25 seeds a family, 5 minutes
     python perf/habitats.py table --inspected 4    with the share that cannot be inspected, by the first four
                                                    seeds of each: 20 minutes more
+    python perf/habitats.py table --only tiny two  some of the families
     python perf/habitats.py frames                 milliseconds to make the widest world, and to draw a view
     python perf/habitats.py picture docs/habitats.png    a chart and a view of each family
 
@@ -87,7 +88,7 @@ def spread(values: list[float], digits: int = 0) -> str:
     return f"{middle:,.{digits}f} ({low:,.{digits}f} to {high:,.{digits}f})"
 
 
-def table(inspected: int) -> None:
+def table(families: list[str], inspected: int) -> None:
     """Print it, a line a family as soon as it is known."""
     print(
         "| family | individuals | groups | area, m² | visibility, m | steep, ° | on the reef, ° | rugosity |",
@@ -95,7 +96,7 @@ def table(inspected: int) -> None:
     )
     print(" not inspectable, % |" if inspected else "")
     print("|---|---|---|---|---|---|---|---|" + "---|" * bool(inspected))
-    for name in HABITATS:
+    for name in (name for name in HABITATS if name.removeprefix("reef/") in families):
         worlds = [make_world(name, seed) for seed in SEEDS]
         amiss = [text for world in worlds for text in problems(world)]
         assert not amiss, amiss
@@ -257,9 +258,11 @@ def main() -> None:
         "path", nargs="?", type=Path, default=Path("docs/habitats.png"), help="of the picture"
     )
     parser.add_argument("--inspected", type=int, default=0, metavar="N", help="seeds of which it is told")
+    every = [name.removeprefix("reef/") for name in HABITATS]
+    parser.add_argument("--only", nargs="+", choices=every, default=every, help="families of the table")
     options = parser.parse_args()
     if options.what == "table":
-        table(options.inspected)
+        table(options.only, options.inspected)
     elif options.what == "frames":
         frames()
     else:

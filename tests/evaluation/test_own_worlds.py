@@ -322,7 +322,10 @@ def test_what_is_wrong_in_such_a_file_is_told_by_line(text: str | bytes, complai
     ("words", "complaint"),
     [
         (["nowhere.txt"], "nowhere.txt: expected a file that lists worlds"),
-        (["mein"], 'no suite "mein". There are: paper, dev, test; a list of your own is a file .txt'),
+        (
+            ["mein"],
+            'no suite "mein". There are: paper, dev, test, dev-v2, test-v2; a list of your own is a file .txt',
+        ),
         (["mine"], "mine: expected --world before a world, got none. Say: dream bench --world mine"),
         (
             ["--world", "mine", "--seeds", "2"],

@@ -104,6 +104,7 @@ MANIFEST: dict[str, Any] = {
     "suite": "reef/L 3",
     "cases": [{"world": "reef/L", "seed": 3, "start": 1}],
     "worlds": {},
+    "sealed": None,
     "planners": {"sweep-and-graze": {"spacing": 2.5}, "random": {}},
     "protocol": {"name": "dream-v1"},
     "max_steps": None,

@@ -368,7 +368,9 @@ def test_two_habitats_lie_in_two_parts() -> None:
         longer = max(box.width, box.depth)
         # Somewhere about the middle, nothing grows for four metres, but for what a ledge sways.
         middle = np.sort(along[np.abs(along) < 0.3 * longer])
-        assert np.diff(middle, prepend=-0.3 * longer, append=0.3 * longer).max() > (2.0 if slopes.max() > 1.0 else 4.0)
+        assert np.diff(middle, prepend=-0.3 * longer, append=0.3 * longer).max() > (
+            2.0 if slopes.max() > 1.0 else 4.0
+        )
     assert len(kinds) == 4
 
 

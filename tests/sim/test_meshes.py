@@ -3,6 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from dream.geometry import Bounds
 from dream.sim.meshes import boulder, clump, icosphere, post, ring_wall, shell
 from dream.sim.terrain import Noise, smoothstep, undulation
 from dream.sim.world import Mesh
@@ -56,7 +57,7 @@ def test_an_icosphere_is_a_sphere_of_equal_triangles() -> None:
 
 
 def test_noise_is_the_same_at_the_same_place_and_changes_smoothly() -> None:
-    noise = Noise.over(10.0, 2.0, np.random.default_rng(1))
+    noise = Noise.over(Bounds(-10.0, -10.0, 10.0, 10.0), 2.0, np.random.default_rng(1))
     x = np.linspace(-10.0, 10.0, 4001)
     values = noise.at(x, np.full_like(x, 3.3))
     assert np.array_equal(values, noise.at(x[None, :], np.array([[3.3]]))[0])
@@ -68,14 +69,14 @@ def test_noise_is_the_same_at_the_same_place_and_changes_smoothly() -> None:
 
 
 def test_noise_on_a_grid_is_the_noise_at_its_points_to_the_last_bit() -> None:
-    noise = Noise.over(10.0, 1.3, np.random.default_rng(1))
+    noise = Noise.over(Bounds(-10.0, -10.0, 10.0, 10.0), 1.3, np.random.default_rng(1))
     # Some lie past the last knots.
     x, y = np.linspace(-14.0, 13.0, 97), np.linspace(-10.0, 15.0, 61)
     assert np.array_equal(noise.on_grid(x, y), noise.at(x[None, :], y[:, None]))
 
 
 def test_noise_of_equal_knots_is_constant() -> None:
-    noise = Noise(np.ones((12, 12)), -4.0, 1.0)
+    noise = Noise(np.ones((12, 12)), -4.0, -4.0, 1.0)
     x = np.linspace(-2.0, 3.0, 50)
     assert np.allclose(noise.at(x, x[::-1]), 1.8)
 
@@ -85,6 +86,6 @@ def test_smoothstep_is_flat_outside_and_a_half_in_the_middle() -> None:
 
 
 def test_undulation_stays_within_a_few_decimetres() -> None:
-    heights = undulation(30.0, np.random.default_rng(2))
+    heights = undulation(Bounds(-30.0, -30.0, 30.0, 30.0), np.random.default_rng(2))
     assert heights.shape == (241, 241)
     assert 0.1 < heights.std() < 0.25

@@ -6,6 +6,7 @@ import math
 import numpy as np
 import pytest
 
+from dream.geometry import Bounds
 from dream.sim.reef_shapes import Stroke, letter, patches, strings
 from dream.sim.reefs import Bed, renumbered
 from dream.sim.sampling import rotated
@@ -13,6 +14,10 @@ from dream.sim.world import World
 from tests.sim.made import made
 
 FAMILIES = ("fringing", "string", "patch", "mixed", "S")
+
+
+def _square(half: float) -> Bounds:
+    return Bounds(-half, -half, half, half)
 
 
 def reef(kind: str) -> World:
@@ -92,7 +97,7 @@ def test_patches_are_well_apart() -> None:
 
 @pytest.mark.parametrize("seed", range(6))
 def test_strings_are_long_and_keep_inside_the_arena(seed: int) -> None:
-    strokes = strings(20.0, np.random.default_rng(seed))
+    strokes = strings(_square(20.0), np.random.default_rng(seed))
     assert 1 <= len(strokes) <= 3
     for stroke in strokes:
         assert 14.0 <= stroke.length <= 33.0
@@ -102,7 +107,7 @@ def test_strings_are_long_and_keep_inside_the_arena(seed: int) -> None:
 
 @pytest.mark.parametrize("which", "LSOKE")
 def test_letters_fill_most_of_the_arena_and_keep_inside(which: str) -> None:
-    strokes = letter(which, 20.0, np.random.default_rng(3))
+    strokes = letter(which, _square(20.0), np.random.default_rng(3))
     line = np.concatenate([stroke.line for stroke in strokes])
     assert np.abs(line).max() < 17.0
     assert np.ptp(line, axis=0).max() > 18.0
@@ -113,7 +118,7 @@ def test_letters_fill_most_of_the_arena_and_keep_inside(which: str) -> None:
 
 def test_the_nearest_place_on_a_stroke_agrees_with_a_dense_search() -> None:
     rng = np.random.default_rng(5)
-    stroke = strings(22.5, rng)[0]
+    stroke = strings(_square(22.5), rng)[0]
     x, y = rng.uniform(-22.5, 22.5, (2, 200))
     distance, along = stroke.nearest(x, y)
     steps = np.linspace(0.0, 1.0, 401)[:, None]
@@ -126,8 +131,8 @@ def test_the_nearest_place_on_a_stroke_agrees_with_a_dense_search() -> None:
 
 def test_no_bed_is_thinner_than_three_metres() -> None:
     rng = np.random.default_rng(1)
-    for stroke in (*patches(20.0, rng), *strings(20.0, rng)):
-        bed = Bed.of([stroke], 20.0, rng)
+    for stroke in (*patches(_square(20.0), rng), *strings(_square(20.0), rng)):
+        bed = Bed.of([stroke], _square(20.0), rng)
         angle = np.linspace(0.0, 2.0 * math.pi, 60)
         for x0, y0 in stroke.line:
             inside, _ = bed.cover(x0 + 1.45 * np.cos(angle), y0 + 1.45 * np.sin(angle))
@@ -135,13 +140,15 @@ def test_no_bed_is_thinner_than_three_metres() -> None:
 
 
 def test_ground_far_from_every_stroke_is_bare() -> None:
-    bed = Bed.of([Stroke(np.array([[0.0, 0.0], [5.0, 0.0]]), 2.0)], 20.0, np.random.default_rng(0))
+    bed = Bed.of([Stroke(np.array([[0.0, 0.0], [5.0, 0.0]]), 2.0)], _square(20.0), np.random.default_rng(0))
     inside, _ = bed.cover(np.array([-18.0, 2.5, 9.0, 2.5]), np.array([15.0, 3.5, 0.0, 0.0]))
     assert inside.tolist() == [0.0, 0.0, 0.0, 1.0]
 
 
 def test_pieces_of_a_stroke_are_its_groups_in_order() -> None:
-    bed = Bed.of([Stroke(np.array([[-12.0, 0.0], [12.0, 0.0]]), 2.0)], 20.0, np.random.default_rng(0))
+    bed = Bed.of(
+        [Stroke(np.array([[-12.0, 0.0], [12.0, 0.0]]), 2.0)], _square(20.0), np.random.default_rng(0)
+    )
     _, group = bed.cover(np.linspace(-12.0, 12.0, 49), np.zeros(49))
     assert (np.diff(group) >= 0).all()
     assert set(group.tolist()) == {0, 1, 2, 3}

@@ -359,7 +359,7 @@ def held(seed: int, solids: bool, turned: Turned = AS_IT_IS) -> Held:
     there = LATTICE.world(turned.pose(start))
     camera = np.random.default_rng(seed).integers(20, 200, (240, 320, 3)).astype(np.uint8)
     observation = replace(observed_at(there.x, there.y, there.yaw), rgb=camera)
-    pilot = Uneven(Belief(), Mission(DREAM_V1, AREA, DREAM_V1.cap), turned=turned)
+    pilot = Uneven(Belief(), Mission(DREAM_V1, AREA, DREAM_V1.cap), Belief().look_ahead, turned=turned)
     return Held(occupancy, observation, pilot, pilot.consider(observation, occupancy))
 
 
@@ -497,7 +497,7 @@ def test_at_the_end_every_place_is_feasible_and_so_it_is_where_a_part_is_to_be_s
     first = held(seed, True)
     occupancy = first.occupancy.copy()
     occupancy.restrict(area)
-    pilot = Uneven(Belief(), replace(first.pilot.mission, area=area))
+    pilot = Uneven(Belief(), replace(first.pilot.mission, area=area), Belief().look_ahead)
     thought = pilot.consider(first.observation, occupancy)
     ending = Held(occupancy, first.observation, pilot, replace(thought, plan=None))
     question = _question(ending, dict(enumerate(ending.places(None), start=1)))
