@@ -74,7 +74,7 @@ class InLanes(Belief):
 
     def begin(self, mission: Mission) -> BeliefPilot:
         """A pilot of its own."""
-        return _InLanes(self, mission, sweeping=self.lanes.in_plane(mission))
+        return _InLanes(self, mission, self.look_ahead, sweeping=self.lanes.in_plane(mission))
 
 
 @dataclass(slots=True)
@@ -99,7 +99,7 @@ class Hesitant(Belief):
 
     def begin(self, mission: Mission) -> BeliefPilot:
         """A pilot of its own."""
-        return _Hesitant(self, mission, more=self.more)
+        return _Hesitant(self, mission, self.look_ahead, more=self.more)
 
 
 @dataclass(slots=True)

@@ -112,7 +112,8 @@ class _Watched:
     forecasts: list[_Forecast | None] = field(default_factory=list)
 
     def begin(self, mission: MissionBrief) -> _WatchedPilot:
-        return _WatchedPilot(Belief(risk=0.0, glimpse=1.0), mission, forecasts=self.forecasts)
+        planner = Belief(risk=0.0, glimpse=1.0)
+        return _WatchedPilot(planner, mission, planner.look_ahead, forecasts=self.forecasts)
 
 
 @dataclass(frozen=True, slots=True)

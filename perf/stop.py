@@ -89,7 +89,7 @@ class _Watched:
     pilots: list[BeliefPilot] = field(default_factory=list)
 
     def begin(self, mission: MissionBrief) -> _WatchedPilot:
-        pilot = _WatchedPilot(Belief(risk=0.0), mission, said=self.said)
+        pilot = _WatchedPilot(Belief(risk=0.0), mission, Belief().look_ahead, said=self.said)
         self.pilots.append(pilot)
         return pilot
 
