@@ -36,7 +36,7 @@ from dream.evaluation.sealed import (
     sealed,
     write_blocks,
 )
-from dream.evaluation.suites import SEALED_FAMILIES, SUITES, Case
+from dream.evaluation.suites import SEALED_FAMILIES, SEALED_PROTOCOL, SUITES, Case
 from dream.sim.worlds import WORLDS, make_world
 from tests.engines import InProcess
 from tests.evaluation.benches import Made, flown, write_bench
@@ -218,7 +218,7 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Run:
     _kept(tmp_path / "other", OTHER.secret.hex().encode())
 
     def bench(*options: str, key: str = "key") -> int:
-        quick = ["--planners", "random", "--max-steps", "3", "--jobs", "1"]
+        quick = ["--planners", "random", "--max-steps", "3", "--jobs", "1", "--protocol", "dream-v1"]
         return run_command(["bench", "sealed", "--key", key, *quick, *options])
 
     return bench
@@ -308,6 +308,15 @@ def test_options_of_a_sealed_test_go_with_it_alone(
 ) -> None:
     assert run_command(["bench", *options]) == 2
     assert said in capsys.readouterr().err
+
+
+@pytest.mark.usefixtures("run")
+def test_all_blocks_are_flown_by_the_same_rules_whichever_world_comes_first(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    # The first world is made for dream-v1, under which this planner flies.
+    assert run_command(["bench", "sealed", "--key", "key", "--planners", "random"]) == 2
+    assert f"as {SEALED_PROTOCOL} does" in capsys.readouterr().err
 
 
 def test_a_folder_holds_one_key_the_next_blocks_and_nothing_else(

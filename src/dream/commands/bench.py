@@ -158,11 +158,13 @@ class Bench(Flying):
         """Exit status 0; a MissionAborted where a mission failed or no answer of a model counted."""
         from dream.evaluation.runner import Plan
         from dream.evaluation.sealed import sealed
+        from dream.evaluation.suites import SEALED_PROTOCOL
 
         planners, engine = self.chosen_planners(), self.chosen_engine()
         blocks = self._blocks()
         name, cases = self._cases() if not blocks else (SEALED, sum((each.cases() for each in blocks), ()))
-        protocol = protocol_named(self.protocol or cases[0].open().protocol)
+        home = SEALED_PROTOCOL if blocks else cases[0].open().protocol
+        protocol = protocol_named(self.protocol or home)
         for planner in planners.values():
             check_flies(planner, protocol)
         swimming = self.swim.chosen(protocol)
