@@ -20,7 +20,8 @@ from dream.planning import (
     SweepAndGraze,
 )
 from dream.planning.space.ground import GroundSearch
-from dream.planning.space.over_ground import ENOUGH, OverGround
+from dream.planning.space.in_water import ENOUGH
+from dream.planning.space.over_ground import OverGround
 from dream.protocol import DREAM_V1
 from dream.protocol import DREAM_V2_TRUE_DRAFT as PROTOCOL
 from dream.types import Decision, Mission, Observation, Target

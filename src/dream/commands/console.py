@@ -170,7 +170,7 @@ class _Scores:
             row = mission.outcome.row
             score.flown += 1
             score.successes += row.success
-            score.t98 += min(row.cap or self._horizon, self._horizon) if row.t98 is None else row.t98
+            score.t98 += row.horizon(self._horizon) if row.t98 is None else row.t98
             score.collisions += row.collisions
         else:
             score.failed += 1

@@ -152,10 +152,6 @@ class Comparison:
         """The finished missions of a planner, in the order of the cases."""
         return [(case, self.rows[case, planner]) for case in cases if (case, planner) in self.rows]
 
-    def horizon_of(self, row: Row) -> int:
-        """Steps that a mission had: in space, by its world."""
-        return self.horizon if row.cap is None else min(row.cap, self.horizon)
-
     def by_world(self, planner: str, cases: Sequence[Case], measure: Measure) -> dict[tuple[str, int], float]:
         """A measure for each world (name, seed): the mean over its starts, where it has a value."""
         found: dict[tuple[str, int], list[float]] = {}
@@ -190,7 +186,7 @@ class Comparison:
 
         def steps(case: Case, row: Row) -> float:
             value = getattr(row, mark)
-            most = self.horizon_of(row)
+            most = row.horizon(self.horizon)
             return float(most if value is None else min(value, most))
 
         return steps
@@ -206,7 +202,7 @@ class Comparison:
             if limit is None or limit.best_tour is None:
                 return math.nan
             ratios = {
-                name: ratio(row, getattr(row, mark), length, self.horizon_of(row))
+                name: ratio(row, getattr(row, mark), length, row.horizon(self.horizon))
                 for name, length in (("lower_bound", limit.lower_bound), ("best_tour", limit.best_tour))
             }
             return math.nan if any(map(math.isnan, ratios.values())) else ratios[which]
@@ -256,6 +252,7 @@ def compare(results: Results) -> Comparison:
     cap = protocol.get("cap")
     if type(cap) is not int or not 1 <= cap <= MAX_STEPS:
         raise ValueError(f"manifest.json: protocol.cap: expected 1 to {MAX_STEPS} steps, got {cap!r:.80}")
+    most = max((row.cap or cap for row in results.rows), default=cap)
     asked = results.manifest["max_steps"]
     planners = tuple(dict.fromkeys([*titles.values(), *(planner for _, planner in rows)]))
     failures = {
@@ -271,9 +268,7 @@ def compare(results: Results) -> Comparison:
         rows=rows,
         bounds=bounds,
         protocol=str(protocol.get("name")),
-        horizon=min(
-            [max((row.cap or cap for row in results.rows), default=cap), *([int(asked)] if asked else [])]
-        ),
+        horizon=most if asked is None else min(most, int(asked)),
         failures={
             (case, planner): error
             for (case, planner), error in failures.items()

@@ -137,6 +137,10 @@ class Row:
         """What tells this mission from every other."""
         return (self.protocol, self.world, self.seed, self.start, self.planner)
 
+    def horizon(self, most: int) -> int:
+        """Steps that it had, where no mission had more than so many: in space they go by the world."""
+        return most if self.cap is None else min(self.cap, most)
+
     @property
     def too_early(self) -> bool:
         """Did it stop by itself with less than 98.26 % of the instances seen?"""

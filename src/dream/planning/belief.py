@@ -16,7 +16,7 @@ from dream.options import First
 from dream.planning import sentences
 from dream.planning.distribution import Groups, TargetEvidence
 from dream.planning.failed_views import FailedViews
-from dream.planning.far_hints import FarHints
+from dream.planning.far_hints import hints_up_to
 from dream.planning.lookahead import NOTHING, LookAhead, Plan, Prospect
 from dream.planning.parameters import check_count, check_range
 from dream.planning.pose_views import PoseViews
@@ -36,6 +36,7 @@ from dream.planning.sources import (
     Worth,
 )
 from dream.planning.sources.source import LEAVE, MOST_VISITS
+from dream.planning.space.in_water import HOLE
 from dream.planning.travel import Travel, careful_travel, nearest_open, travel_from
 from dream.planning.traversal_tour import TraversalTour
 from dream.planning.viewpoints import all_viewpoints_from
@@ -193,21 +194,17 @@ class Belief:
         protocol = mission.protocol
         if not self.certify:
             return self.size * protocol.group_radius
-        if protocol.space is None:
-            return 0.5 * protocol.cell
-        from dream.planning.space.in_water import HOLE
-
-        return HOLE
+        return 0.5 * protocol.cell if protocol.space is None else HOLE
 
     def sources(self, mission: Mission) -> list[BeliefSource]:
         """What it expects targets by, in the order in which they are asked; each may be left out."""
         protocol, size, prior = mission.protocol, self.size_of_groups(mission), mission.prior
-        farthest = self.glimpse * protocol.reach
         traverses, surveyed = protocol.traversal is not None, prior is not None
         sources: list[BeliefSource] = []
         # In a tank a look around shows most of what there is, and a survey tells more than hints do.
-        if self.glimpse > 1.0 and not traverses and not surveyed:
-            sources.append(HintedTargets(FarHints(mission, farthest)))
+        hints = None if traverses or surveyed else hints_up_to(mission, self.glimpse)
+        if hints is not None:
+            sources.append(HintedTargets(hints))
         blur = self.kernel * protocol.group_radius
         beside = blur, self.prior, self.prior_weight, self.open_edge, self.eager, self.search
         sources.append(TargetsBeside(*beside))

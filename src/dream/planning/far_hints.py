@@ -132,3 +132,13 @@ class FarHints:
             precision,
             sensitivity,
         )
+
+
+def hints_up_to(mission: Mission, glimpse: float) -> FarHints | None:
+    """What is to learn from pictures beyond the reach; None where no hints are taken.
+
+    Args:
+        mission: Whose pictures.
+        glimpse: Distance up to which they are searched, as a multiple of the reach; 1 takes none.
+    """
+    return FarHints(mission, glimpse * mission.protocol.reach) if glimpse > 1.0 else None

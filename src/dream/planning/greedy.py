@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
@@ -47,6 +47,11 @@ class Greedy:
         check_range("eager", self.eager, 0.0, 1000.0)
         check_range("search", self.search, 1e-6, 1.0)
 
+    @property
+    def believes(self) -> Belief:
+        """Whose beliefs it has."""
+        return Belief(eager=self.eager, search=self.search)
+
     def begin(self, mission: Mission) -> BeliefPilot | SpaceBelief:
         """A fresh pilot."""
         if mission.protocol.space is None:
@@ -58,12 +63,11 @@ class Greedy:
 
     def in_plane(self, mission: Mission) -> BeliefPilot:
         """A fresh pilot that keeps its altitude, under whatever protocol."""
-        return BeliefPilot(Belief(eager=self.eager, search=self.search), mission, NextView())
+        return BeliefPilot(self.believes, mission, NextView())
 
     def of_all_ground(self, mission: Mission) -> BeliefPilot:
         """The same, with all ground to be seen, as `belief` searches it in three dimensions."""
-        believes = Belief(eager=self.eager, search=self.search, certify=True)
-        return BeliefPilot(believes, mission, NextView())
+        return BeliefPilot(replace(self.believes, certify=True), mission, NextView())
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,7 +13,7 @@ from dream.lattice import Pose
 from dream.options import First
 from dream.planning import sentences
 from dream.planning.distribution import TargetEvidence, blurred, expectation
-from dream.planning.far_hints import FarHints
+from dream.planning.far_hints import FarHints, hints_up_to
 from dream.planning.parameters import check_range
 from dream.planning.travel import Travel, nearest_open, travel_from
 from dream.planning.viewpoints import Viewpoint, Viewpoints, spread
@@ -95,7 +95,7 @@ class SixSteps:
 
     def hints(self, mission: Mission) -> FarHints | None:
         """What is to learn from pictures beyond the reach; None where no hints are taken."""
-        return FarHints(mission, self.glimpse * mission.protocol.reach) if self.glimpse > 1.0 else None
+        return hints_up_to(mission, self.glimpse)
 
     def expectation(self, occupancy: OccupancyMap, evidence: TargetEvidence | None = None) -> FloatArray:
         """See `distribution.expectation`; of what was observed unless evidence is given."""

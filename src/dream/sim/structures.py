@@ -12,7 +12,7 @@ from dream.protocol import protocol_named
 from dream.sim.boulders import CLEAR, PASSAGE
 from dream.sim.reefs import renumbered
 from dream.sim.sampling import MILLIMETRE, Float64Array, length, quantised, rotated
-from dream.sim.terrain import APRON, smoothstep
+from dream.sim.terrain import APRON, grid, smoothstep
 from dream.sim.world import BoolArray, Instances, Mesh, Terrain, World
 
 BLEND = 4.0
@@ -34,7 +34,7 @@ def beside(west: World, east: World, apart: float | None = None) -> World:
     east = _moved(east, west.bounds.x_max - east.bounds.x_min if apart is None else apart, 0.0)
     border = 0.5 * (west.bounds.x_max + east.bounds.x_min)
     bounds = _hold(west.bounds, east.bounds)
-    x, y = _grid(bounds, west.terrain.spacing)
+    x, y = grid(bounds.widened(APRON), west.terrain.spacing)
     share = smoothstep(border - 0.5 * BLEND, border + 0.5 * BLEND, x)
     return _joined(west, east, bounds, _blended(west.terrain, east.terrain, share, x, y), 2)
 
@@ -52,7 +52,7 @@ def around(wreck: World, reef: World) -> World:
     middle = np.array([box.x_min + box.x_max, box.y_min + box.y_max]) * 0.5
     reef = _moved(reef, *(np.floor(middle / lattice) * lattice).tolist())
     bounds = _hold(box, reef.bounds)
-    x, y = _grid(bounds, wreck.terrain.spacing)
+    x, y = grid(bounds.widened(APRON), wreck.terrain.spacing)
     hull = _footprint(wreck)
     away = _distances(hull, np.stack(np.broadcast_arrays(x, y), axis=-1).reshape(-1, 2))
     ground = _blended(wreck.terrain, reef.terrain, smoothstep(*SETTLED, away.reshape(y.size, x.size)), x, y)
@@ -116,15 +116,6 @@ def _hold(one: Bounds, other: Bounds) -> Bounds:
         max(one.x_max, other.x_max),
         max(one.y_max, other.y_max),
     )
-
-
-def _grid(bounds: Bounds, spacing: float) -> tuple[Float64Array, Float64Array]:
-    """x (1, N) and y (M, 1) of the grid points of a seabed that reaches past the bounds by its apron."""
-    x, y = (
-        np.float64(low - APRON) + spacing * np.arange(round((high - low + 2.0 * APRON) / spacing) + 1)
-        for low, high in ((bounds.x_min, bounds.x_max), (bounds.y_min, bounds.y_max))
-    )
-    return x[None, :], y[:, None]
 
 
 def _blended(

@@ -10,13 +10,13 @@ import numpy as np
 from dream.options import First
 from dream.planning.baselines.remains import Remains
 from dream.planning.parameters import check_range
+from dream.planning.space.over_ground import OverGround, in_plane_or_over_ground
 from dream.planning.travel import Travel, careful_travel
 from dream.planning.viewpoints import FloatArray, Viewpoint, viewpoints_from
 from dream.types import BoolArray, Decision, Mission, Observation, Reasoning
 
 if TYPE_CHECKING:
     from dream.mapping import OccupancyMap
-    from dream.planning.space.over_ground import OverGround
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,11 +51,7 @@ class NearestFrontier:
 
         Under a protocol that moves in space it searches the ground: see `OverGround`.
         """
-        if mission.protocol.space is None:
-            return self.in_plane(mission)
-        from dream.planning.space.over_ground import OverGround
-
-        return OverGround(mission, self.in_plane)
+        return in_plane_or_over_ground(mission, self.in_plane)
 
     def in_plane(self, mission: Mission) -> _FrontierPilot:
         """A pilot that keeps its altitude, under whatever protocol."""

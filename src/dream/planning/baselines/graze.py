@@ -13,8 +13,9 @@ from dream.options import First
 from dream.planning.baselines.lawnmower import Lawnmower
 from dream.planning.baselines.remains import group_cells
 from dream.planning.baselines.sweeping import Sweeping
-from dream.planning.far_hints import FarHints
+from dream.planning.far_hints import FarHints, hints_up_to
 from dream.planning.parameters import check_range
+from dream.planning.space.over_ground import OverGround, in_plane_or_over_ground
 from dream.planning.travel import Travel, careful_travel
 from dream.planning.viewpoints import Viewpoint, viewpoints_from
 from dream.types import Decision, Mission, Observation, Reasoning
@@ -22,7 +23,6 @@ from dream.types import Decision, Mission, Observation, Reasoning
 if TYPE_CHECKING:
     from dream.mapping import OccupancyMap
     from dream.mapping.completion import Region
-    from dream.planning.space.over_ground import OverGround
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,16 +71,14 @@ class SweepAndGraze:
 
         Under a protocol that moves in space it searches the ground: see `OverGround`.
         """
-        if mission.protocol.space is None:
-            return self.in_plane(mission)
-        from dream.planning.space.over_ground import OverGround
-
-        return OverGround(mission, replace(self, edge=max(self.edge, self.least)).in_plane)
+        in_space = mission.protocol.space is not None
+        grazer = replace(self, edge=max(self.edge, self.least)) if in_space else self
+        return in_plane_or_over_ground(mission, grazer.in_plane)
 
     def in_plane(self, mission: Mission) -> _Grazing:
         """A pilot that keeps its altitude, under whatever protocol."""
         lanes = Lawnmower(swath=self.swath, inset=self.inset, least=self.least)
-        hints = FarHints(mission, self.glimpse * mission.protocol.reach) if self.glimpse > 1.0 else None
+        hints = hints_up_to(mission, self.glimpse)
         return _Grazing(lanes.in_plane(mission), self.edge * group_cells(mission.protocol), hints)
 
 

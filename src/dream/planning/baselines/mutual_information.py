@@ -12,6 +12,7 @@ from dream.lattice import Pose
 from dream.options import First
 from dream.planning.baselines.remains import Remains, group_cells
 from dream.planning.parameters import check_count, check_range
+from dream.planning.space.over_ground import OverGround, in_plane_or_over_ground
 from dream.planning.target_field import TargetField
 from dream.planning.travel import Travel, careful_travel
 from dream.planning.viewpoints import Viewpoint, Viewpoints, viewpoints_from
@@ -19,7 +20,6 @@ from dream.types import BoolArray, Decision, Mission, Observation, Reasoning
 
 if TYPE_CHECKING:
     from dream.mapping import OccupancyMap
-    from dream.planning.space.over_ground import OverGround
 
 FloatArray = npt.NDArray[np.floating[Any]]
 
@@ -81,11 +81,7 @@ class MutualInformation:
 
         Under a protocol that moves in space it searches the ground: see `OverGround`.
         """
-        if mission.protocol.space is None:
-            return self.in_plane(mission)
-        from dream.planning.space.over_ground import OverGround
-
-        return OverGround(mission, self.in_plane)
+        return in_plane_or_over_ground(mission, self.in_plane)
 
     def in_plane(self, mission: Mission) -> _Informed:
         """A pilot that keeps its altitude, under whatever protocol."""

@@ -10,13 +10,13 @@ import numpy as np
 from dream.options import First
 from dream.planning.baselines.remains import Remains, group_cells
 from dream.planning.parameters import check_range
+from dream.planning.space.over_ground import OverGround, in_plane_or_over_ground
 from dream.planning.travel import Travel, careful_travel
 from dream.planning.viewpoints import Viewpoint, viewpoints_from
 from dream.types import Decision, Mission, Observation, Reasoning
 
 if TYPE_CHECKING:
     from dream.mapping import OccupancyMap
-    from dream.planning.space.over_ground import OverGround
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,11 +54,7 @@ class NextBestView:
 
         Under a protocol that moves in space it searches the ground: see `OverGround`.
         """
-        if mission.protocol.space is None:
-            return self.in_plane(mission)
-        from dream.planning.space.over_ground import OverGround
-
-        return OverGround(mission, self.in_plane)
+        return in_plane_or_over_ground(mission, self.in_plane)
 
     def in_plane(self, mission: Mission) -> _NextBestViewPilot:
         """A pilot that keeps its altitude, under whatever protocol."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 from dream.geometry import SE2
 from dream.options import First
@@ -11,10 +11,8 @@ from dream.planning.baselines.lanes import Points, across, mirrored, seen_to_bot
 from dream.planning.baselines.remains import Remains, group_cells
 from dream.planning.baselines.sweeping import Sweeping
 from dream.planning.parameters import check_range
+from dream.planning.space.over_ground import OverGround, in_plane_or_over_ground
 from dream.types import Mission
-
-if TYPE_CHECKING:
-    from dream.planning.space.over_ground import OverGround
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,11 +45,7 @@ class Spiral:
 
         Under a protocol that moves in space it searches the ground: see `OverGround`.
         """
-        if mission.protocol.space is None:
-            return self.in_plane(mission)
-        from dream.planning.space.over_ground import OverGround
-
-        return OverGround(mission, self.in_plane)
+        return in_plane_or_over_ground(mission, self.in_plane)
 
     def in_plane(self, mission: Mission) -> Sweeping:
         """A pilot that keeps its altitude, under whatever protocol."""

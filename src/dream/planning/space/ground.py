@@ -6,13 +6,11 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Protocol
 
-from dream.planning.space.in_water import InWater
+from dream.planning.space.in_water import ENOUGH, InWater
 from dream.types import Decision, Mission, Observation
 
 if TYPE_CHECKING:
     from dream.mapping import OccupancyMap
-
-ENOUGH = "Hardly any ground that can be seen is left: done."
 
 
 class PilotInPlane(Protocol):

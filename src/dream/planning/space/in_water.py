@@ -33,6 +33,7 @@ SIDES = 2
 """Eighths of the compass out of which ground with targets is to be inspected: they hide one another."""
 AHEAD = 3.0
 """Metres of water ahead that are to be known for the camera to look down."""
+ENOUGH = "Hardly any ground that can be seen is left: done."
 ROOM = 16
 """Places that the vehicle must be able to get to in the plane to plan there."""
 

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Protocol, TypeVar
 
-from dream.planning.space.in_water import InWater
+from dream.planning.space.in_water import ENOUGH, InWater
 from dream.types import Decision, Mission, Observation, Reasoning, Target
 
 if TYPE_CHECKING:
     from dream.mapping import OccupancyMap
     from dream.planning.belief import BeliefPilot
-
-ENOUGH = "Hardly any ground that can be seen is left: done."
 
 
 class PlanarPilot(Protocol):
@@ -22,6 +20,19 @@ class PlanarPilot(Protocol):
     def decide(self, observation: Observation, occupancy: OccupancyMap) -> Decision:
         """The next move at its altitude."""
         ...
+
+
+Pilot = TypeVar("Pilot", bound=PlanarPilot)
+
+
+def in_plane_or_over_ground(mission: Mission, in_plane: Callable[[Mission], Pilot]) -> Pilot | OverGround:
+    """A fresh pilot of the plane; under a protocol that moves in space, over the ground.
+
+    Args:
+        mission: Of either kind.
+        in_plane: Makes the pilot, under whatever protocol.
+    """
+    return in_plane(mission) if mission.protocol.space is None else OverGround(mission, in_plane)
 
 
 @dataclass(slots=True)
