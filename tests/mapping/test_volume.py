@@ -582,17 +582,6 @@ def test_from_above_heights_that_err_by_a_voxel_hide_no_ground_and_make_none_sta
         assert not volume.above(ahead).solid.any(), error
 
 
-def test_surface_tells_from_which_eighths_of_the_compass_it_was_inspected() -> None:
-    west, south = pose(-2.0, 0.3, -8.5, tilt=0.6), pose(0.3, -2.0, -8.5, math.pi / 2.0, tilt=0.6)
-    for poses, eighths in (((west,), {3, 4}), ((south,), {5, 6}), ((west, south), {3, 4, 5, 6})):
-        volume = looked([FLOOR], *poses)
-        surface = volume.surface()
-        at = (np.abs(surface.middles[:, :2]) < 0.3).all(axis=1)
-        bits = {k for k in range(8) if (surface.bearings[at] & (1 << k)).any()}
-        assert bits <= eighths
-        assert np.bitwise_count(surface.bearings[at]).min() == len(poses)
-
-
 def test_from_above_a_slope_is_ground() -> None:
     slope = plane((0.0, 0.0, -10.0), (-0.4, 0.0, 1.0))
     volume = looked([slope], *(pose(x, 0.0, -6.0 + 0.4 * x, tilt=1.0) for x in (0.0, 1.5, 3.0)))

@@ -91,13 +91,6 @@ class Surface:
     area: npt.NDArray[np.float64]
     """(n,) square metres of surface that it stands for."""
 
-    @property
-    def bearings(self) -> npt.NDArray[np.uint8]:
-        """(n,) bits of the eighths of the compass from which it was inspected, from whatever height."""
-        # Each byte is a band of heights.
-        bands = np.ascontiguousarray(self.sides)[:, None].view(np.uint8)
-        return np.asarray(np.bitwise_or.reduce(bands, axis=1))
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Above:

@@ -30,8 +30,8 @@ class GroundSearch:
     """`belief` of the plane on the view from above, from higher up.
 
     What it does: labels are trusted as far as `SurveyProtocol.trusted` says, straight; over ground that is
-    less, and so far the planar pilot plans for. Where targets are told, ground counts as seen once it was
-    inspected out of two eighths of the compass: until then the pilot expects targets there and comes again,
+    less, and so far the planar pilot plans for. Where targets are told, ground counts as seen once its
+    looks hardly overlooked any (`Overlooked`): until then the pilot expects targets there and comes again,
     but gives it up like other ground. It climbs or descends to its altitude where the water on the way is
     known to be free, and looks down, where targets hide one another least, while the water ahead of it is.
 
@@ -50,12 +50,13 @@ class GroundSearch:
 
     def decide(self, observation: Observation, occupancy: OccupancyMap) -> Decision:
         """The next move; done where the risk that something was missed is accepted."""
+        self.water.overlooked.take(observation)
         near = self.water.from_above(occupancy)
         out = self.water.into_the_open(observation, near)
         if out is not None:
             return out
         thought = self.pilot.consider(observation, near)
-        if self.water.enough(thought.expected.hiding, near):
+        if self.water.enough(thought.expected.hiding, occupancy):
             thought = replace(thought, plan=None, why=ENOUGH)
         decision = self.pilot.act(thought, thought.plan)
         if decision.done:

@@ -10,10 +10,11 @@ import numpy as np
 
 from dream.mapping import within
 from dream.planning.space.looks import nearest_tilt
+from dream.planning.space.overlooked import Overlooked
 from dream.planning.space.ways import ways_in
 from dream.planning.travel import careful_standoff, careful_travel
 from dream.protocol import SurveyProtocol
-from dream.types import BoolArray, Decision, Mission, Observation, Reasoning
+from dream.types import BoolArray, Decision, Float32Array, Mission, Observation, Reasoning
 
 if TYPE_CHECKING:
     from dream.mapping import OccupancyMap
@@ -29,8 +30,10 @@ AROUND = 1.0
 """Metres a side of the square in which labels decide whether there are targets."""
 TOLD = 0.2
 """Share of it from which on there are: on a reef two or three cells of five are told to be target."""
-SIDES = 2
-"""Eighths of the compass out of which ground with targets is to be inspected: they hide one another."""
+SEARCHED = 0.03
+"""Share of its individuals that may have been overlooked in a cell for it to count as searched."""
+MISSED = 0.01
+"""Share of all of them that may be expected to be missed when the search ends."""
 AHEAD = 3.0
 """Metres of water ahead that are to be known for the camera to look down."""
 ENOUGH = "Hardly any ground that can be seen is left: done."
@@ -52,8 +55,10 @@ class InWater:
     """With the reach over ground."""
     height: float = field(init=False)
     """Metres above ground at which it is searched."""
+    overlooked: Overlooked = field(init=False)
 
     def __post_init__(self) -> None:
+        self.overlooked = Overlooked(self.mission)
         whole = self.mission.protocol
         assert whole.space is not None
         self.height = max(HEIGHT * whole.trusted, whole.space.lowest + whole.lattice)
@@ -70,15 +75,46 @@ class InWater:
         """The map to a pilot of the plane, to be read until the map changes."""
         return occupancy.counting(self.searched(occupancy), self.protocol.reach, self.passed_over(occupancy))
 
-    def enough(self, hiding: BoolArray, near: OccupancyMap) -> bool:
-        """Is so little of the ground left, in holes with these middles (rows, cols), that the search may end?
+    def enough(self, hiding: BoolArray, occupancy: OccupancyMap) -> bool:
+        """May the search end: is so little ground unseen, and are so few individuals expected to be missed?
 
         Args:
             hiding: Middles of discs of the radius `HOLE` in which nothing was searched.
-            near: See `from_above`.
+            occupancy: The map itself.
         """
-        left = within(hiding, HOLE, self.protocol.cell) & ~near.observed
-        return bool(np.count_nonzero(left) <= LEFT * np.count_nonzero(near.to_see))
+        left = within(hiding, HOLE, self.protocol.cell) & ~occupancy.observed
+        return bool(
+            np.count_nonzero(left) <= LEFT * np.count_nonzero(occupancy.to_see)
+            and self.missed(occupancy) <= MISSED
+        )
+
+    def missed(self, occupancy: OccupancyMap) -> float:
+        """Expected share of all individuals that was not inspected, as far as labels tell where they are.
+
+        Ground that was never seen is taken for what the nearest is that was.
+        """
+        from scipy.ndimage import distance_transform_edt
+
+        if not occupancy.seen.any():
+            return 1.0
+        share = self.told(occupancy)
+        nearest = distance_transform_edt(~occupancy.seen, return_distances=False, return_indices=True)
+        density = np.where(occupancy.to_see, share[tuple(nearest)], 0.0)
+        left = np.where(occupancy.seen, self.overlooked.share, 1.0)
+        total = float(density.sum())
+        return float((density * left).sum()) / total if total > 0.0 else 0.0
+
+    def told(self, occupancy: OccupancyMap) -> Float32Array:
+        """(rows, cols) share of the ground around each cell that is told to be target, 0 below `TOLD`."""
+        from scipy.ndimage import uniform_filter
+
+        width = round(AROUND / self.protocol.cell)
+        target, seen = (
+            uniform_filter(cells.astype(np.float32), width, mode="constant")
+            for cells in (occupancy.target & occupancy.seen, occupancy.seen)
+        )
+        share = target / np.maximum(seen, 1e-6)
+        return np.where(occupancy.seen & (share >= TOLD), share, np.float32(0.0))
 
     def passed_over(self, occupancy: OccupancyMap) -> BoolArray:
         """(rows, cols) what stands up, but so low that the vehicle passes over it at the search's height."""
@@ -92,18 +128,10 @@ class InWater:
         return np.asarray(occupancy.solid & (top + 0.5 * occupancy.volume.cell <= highest))
 
     def searched(self, occupancy: OccupancyMap) -> BoolArray:
-        """(rows, cols) what was seen of the ground, and where targets are told, inspected as `SIDES` asks."""
-        from scipy.ndimage import uniform_filter
-
-        assert occupancy.volume is not None
-        surface = occupancy.volume.surface()
-        x, y = surface.middles[:, :2].T
-        inside = occupancy.contains(x, y)
-        bearings = np.zeros(occupancy.shape, np.uint8)
-        np.bitwise_or.at(bearings, occupancy.cell_of(x[inside], y[inside]), surface.bearings[inside])
-        width = round(AROUND / self.protocol.cell)
-        told = uniform_filter(occupancy.target.astype(np.float32), width, mode="nearest") >= TOLD
-        return np.asarray(occupancy.seen & (~told | (np.bitwise_count(bearings) >= SIDES)))
+        """(rows, cols) what was seen of the ground, and where targets are told, was hardly overlooked."""
+        return np.asarray(
+            occupancy.seen & ((self.told(occupancy) == 0.0) | (self.overlooked.share <= SEARCHED))
+        )
 
     def into_the_open(self, observation: Observation, occupancy: OccupancyMap) -> Decision | None:
         """The way from above or beside what stands up to where a vehicle at its altitude can move on.

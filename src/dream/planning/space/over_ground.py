@@ -76,9 +76,10 @@ class OverGround:
 
     def decide(self, observation: Observation, occupancy: OccupancyMap) -> Decision:
         """The next move, or done."""
+        self.water.overlooked.take(observation)
         near = self.water.from_above(occupancy)
         expected = self.judge.expect(self.judge.take(observation, near))
-        if self.water.enough(expected.hiding, near):
+        if self.water.enough(expected.hiding, occupancy):
             return Decision(done=True, reasoning=Reasoning(action=ENOUGH))
         out = self.water.into_the_open(observation, near)
         if out is not None:

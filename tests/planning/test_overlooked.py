@@ -1,0 +1,169 @@
+"""What may have been overlooked on the ground: the looks that are kept, and what they leave."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dream.geometry import SE3, camera_mount
+from dream.mapping import OccupancyMap
+from dream.planning.space.in_water import LEFT, MISSED, SEARCHED, TOLD, InWater
+from dream.planning.space.overlooked import MISSED as MISSES
+from dream.planning.space.overlooked import PARTS, Overlooked
+from dream.protocol import DREAM_V2_TRUE_DRAFT as PROTOCOL
+from dream.types import Observation
+from tests.planning.standing import BOUNDS, SEABED, mission, observed
+
+Array = np.ndarray[Any, Any]
+HEIGHT = 3.5
+SPOT = 0.6, 0.4
+DOWN = math.radians(45.0)
+
+
+def looking(x: float, y: float, yaw: float, height: float = HEIGHT, tilt: float = DOWN) -> Observation:
+    """A frame of a level seabed."""
+    camera = PROTOCOL.camera
+    pose, mount = SE3.level(x, y, SEABED + height, yaw), camera_mount(tilt)
+    rays = camera.back_project(np.ones((camera.height, camera.width)), SE3.level(0.0, 0.0, 0.0, yaw) @ mount)
+    depth = np.where(rays[..., 2] < -1e-3, -height / np.minimum(rays[..., 2], -1e-3), np.nan)
+    depth[~(depth < PROTOCOL.max_depth)] = np.nan
+    return replace(observed(x, y, SEABED + height, yaw), depth=depth, T_world_base=pose, T_base_camera=mount)
+
+
+def looking_at(spot: tuple[float, float], bearing: float, angle: float) -> Observation:
+    """A frame of a spot from a bearing as seen from it, at an angle to the vertical; radians."""
+    away = HEIGHT * math.tan(angle)
+    at = spot[0] + away * math.cos(bearing), spot[1] + away * math.sin(bearing)
+    return looking(*at, math.remainder(bearing + math.pi, 2.0 * math.pi))
+
+
+def after(*frames: Observation) -> Overlooked:
+    looks = Overlooked(mission())
+    for frame in frames:
+        looks.take(frame)
+    return looks
+
+
+def left_at(looks: Overlooked, spot: tuple[float, float] = SPOT) -> float:
+    row, col = OccupancyMap(BOUNDS, PROTOCOL).cell_of(*spot)
+    return float(looks.share[row, col])
+
+
+def law(angle: float) -> float:
+    """What one look leaves."""
+    return MISSES * (1.0 - math.cos(angle)) ** 2
+
+
+def test_looks_are_kept_as_a_plain_loop_would() -> None:
+    frames = [looking(-2.0, 1.0, 0.4), looking(3.0, -2.0, 2.5, height=2.0, tilt=math.radians(20.0))]
+    kept = np.zeros((PARTS, *OccupancyMap(BOUNDS, PROTOCOL).shape))
+    for frame in frames:
+        points = frame.camera.back_project(frame.depth, frame.T_world_camera)
+        for point in points[np.isfinite(points).all(axis=-1)]:
+            way = frame.T_world_camera.translation - point
+            away = float(np.linalg.norm(way))
+            col, row = np.floor((point[:2] - [BOUNDS.x_min, BOUNDS.y_min]) / PROTOCOL.cell).astype(int)
+            if away > PROTOCOL.reach or not (0 <= row < kept.shape[1] and 0 <= col < kept.shape[2]):
+                continue
+            part = int(math.atan2(way[1], way[0]) % (2.0 * math.pi) / (2.0 * math.pi) * PARTS)
+            kept[part, row, col] = max(kept[part, row, col], way[2] / away)
+    assert (kept > 0.0).sum() > 1000
+    # A ray along the edge of a cell or of an eighth may fall to either side.
+    assert (np.abs(after(*frames)._steepest - kept) > 1e-5).mean() < 1e-3
+
+
+@pytest.mark.parametrize("angle", [20.0, 40.0, 55.0])
+def test_a_look_leaves_more_the_more_slanted_it_is(angle: float) -> None:
+    assert left_at(after()) == 1.0
+    left = left_at(after(looking_at(SPOT, 0.3, math.radians(angle))))
+    # The cell's own steepest pixel lies up to half its diagonal nearer.
+    assert law(math.radians(angle - 4.0)) < left <= law(math.radians(angle + 0.5))
+
+
+def test_looks_from_different_sides_multiply_and_of_those_from_one_the_steepest_counts() -> None:
+    one, other = looking_at(SPOT, 0.3, math.radians(40.0)), looking_at(SPOT, 2.3, math.radians(50.0))
+    assert left_at(after(one, other)) == pytest.approx(left_at(after(one)) * left_at(after(other)), rel=1e-5)
+    slanted = looking_at(SPOT, 0.35, math.radians(55.0))
+    assert left_at(after(slanted, one)) == left_at(after(one, slanted)) == left_at(after(one))
+
+
+def test_beyond_the_reach_nothing_is_looked_at() -> None:
+    angle = math.acos(HEIGHT / (PROTOCOL.reach + 0.3))
+    assert left_at(after(looking_at(SPOT, 0.3, angle))) == 1.0
+
+
+@pytest.fixture
+def searched() -> tuple[InWater, Any]:
+    """A search of a square all of which was seen, a quarter of it target."""
+    water = InWater(mission())
+    shape = OccupancyMap(BOUNDS, PROTOCOL).shape
+    target = np.zeros(shape, np.bool_)
+    target[: shape[0] // 2, : shape[1] // 2] = True
+    every = np.ones(shape, np.bool_)
+
+    class Map:
+        seen, observed, to_see = every.copy(), every.copy(), every.copy()
+
+    Map.target = target  # type: ignore[attr-defined]
+    return water, Map
+
+
+def test_what_is_missed_is_told_by_the_looks_at_targets(searched: tuple[InWater, Any]) -> None:
+    water, occupancy = searched
+    assert water.missed(occupancy) == 1.0
+    one = law(math.radians(50.0))
+    water.overlooked.share[:] = one
+    assert water.missed(occupancy) == pytest.approx(one, rel=1e-3)
+    assert not water.searched(occupancy)[occupancy.target].any()
+    # Looks at bare ground add nothing.
+    water.overlooked.share[~occupancy.target] = 0.0
+    assert water.missed(occupancy) == pytest.approx(one, rel=0.1)
+    water.overlooked.share[:] = one**2
+    assert water.missed(occupancy) == pytest.approx(one**2, rel=1e-3)
+    assert one**2 < MISSED < one
+    assert one**2 < SEARCHED < one
+    assert water.searched(occupancy).all()
+
+
+def test_unseen_ground_holds_what_lies_beside_it(searched: tuple[InWater, Any]) -> None:
+    water, occupancy = searched
+    water.overlooked.share[:] = 0.0
+    assert water.missed(occupancy) == 0.0
+    rows, cols = np.nonzero(occupancy.target)
+    hole = (rows < 6) & (cols < 6)
+    occupancy.seen[rows[hole], cols[hole]] = False
+    assert water.missed(occupancy) == pytest.approx(hole.sum() / len(rows), rel=0.1)
+    occupancy.seen[:] = True
+    occupancy.seen[-6:, -6:] = False
+    assert water.missed(occupancy) == 0.0
+
+
+def test_a_few_cells_that_are_told_to_be_target_are_none(searched: tuple[InWater, Any]) -> None:
+    water, occupancy = searched
+    occupancy.target[:] = False
+    occupancy.target[20, 20] = True
+    assert water.told(occupancy).max() == 0.0
+    assert water.searched(occupancy).all()
+    occupancy.target[20:24, 20:24] = True
+    assert water.told(occupancy).max() >= TOLD
+    assert not water.searched(occupancy)[21, 21]
+
+
+def test_it_ends_when_little_ground_is_unseen_and_little_is_missed(searched: tuple[InWater, Any]) -> None:
+    water, occupancy = searched
+    nothing = np.zeros(occupancy.seen.shape, np.bool_)
+    assert not water.enough(nothing, occupancy)
+    water.overlooked.share[:] = law(math.radians(40.0)) ** 2
+    assert water.enough(nothing, occupancy)
+    # A hole wide enough to be gone back for, in bare ground: of the whole it is too much.
+    side = math.ceil(math.sqrt(LEFT * occupancy.seen.size)) + 1
+    hiding = nothing.copy()
+    hiding[-side:, -side:] = True
+    occupancy.observed[-side:, -side:] = False
+    assert not water.enough(hiding, occupancy)
+    occupancy.observed[-side:, -side:] = True
+    assert water.enough(hiding, occupancy)
