@@ -193,7 +193,7 @@ def test_a_map_of_which_other_ground_counts_as_seen_leaves_the_map_as_it_was() -
     low[occupancy.cell_of(2.0, 0.0)] = high[occupancy.cell_of(-2.0, 0.0)] = True
     occupancy._write("log_odds", (0, 0), np.where(low | high, SURE[0], 0).astype(np.int8))
     assert np.array_equal(occupancy.solid, low | high)
-    other = occupancy.counting(seen, 5.0, low)
+    other = occupancy.counting((~seen).astype(np.float32), 5.0, low)
     assert np.array_equal(other.observed, seen | ~area)
     # What is passed over stands in no way; all else does as before.
     assert np.array_equal(other.solid, high)

@@ -320,6 +320,14 @@ class Layers:
         return self._layer("seen", lambda: self._flag(flags.EXPLORED | flags.RETURNED))
 
     @property
+    def unseen(self) -> Float32Array:
+        """Share of what lies in the cell that is still to be seen: 1 where it was not seen, 0 where it was.
+
+        Between the two on a map on which looks may have overlooked something; see `OccupancyMap.counting`.
+        """
+        return self._layer("unseen", lambda: (~self.seen).astype(np.float32))
+
+    @property
     def to_see(self) -> BoolArray:
         """In the area that has to be seen, seen or not."""
         return self._layer("to_see", self._find_to_see)

@@ -33,7 +33,7 @@ from dream.mapping.layers import (
 )
 from dream.protocol import SurveyProtocol
 from dream.traversal import traversed
-from dream.types import BoolArray, Label
+from dream.types import BoolArray, Float32Array, Label
 
 if TYPE_CHECKING:
     from dream.mapping.volume import Volume
@@ -412,11 +412,11 @@ class OccupancyMap(Layers):
 
     # ----------------------------------------------------------------------------------- copies, files
 
-    def counting(self, seen: BoolArray, reach: float, below: BoolArray) -> OccupancyMap:
+    def counting(self, unseen: Float32Array, reach: float, below: BoolArray) -> OccupancyMap:
         """The map to a planner to which other cells count as seen or as solid, until this map changes.
 
         Args:
-            seen: (rows, cols) in the place of `Layers.seen`.
+            unseen: (rows, cols) in the place of `Layers.unseen`; a cell counts as seen where it is 0.
             reach: Metres, in the place of the protocol's.
             below: (rows, cols) solid cells that are none to it: it passes over what stands there.
         """
@@ -430,7 +430,8 @@ class OccupancyMap(Layers):
         names = ("target", "target_probability", "explored", "to_see", "ground", "distance_to_bounds")
         other._layers = {
             **{name: self._layers[name] for name in names if name in self._layers},
-            "seen": np.array(seen, np.bool_),
+            "seen": unseen == 0.0,
+            "unseen": np.array(unseen, np.float32),
             "wide flags": flagged,
             "wide log_odds": odds,
         }

@@ -428,9 +428,9 @@ class BeliefPilot:
         worth = Worth(nothing, 0.0, np.ones_like(nothing))
         for source in self.sources:
             source.weigh(worth, expected, situation)
-        left = self.failed.left(situation.occupancy)
-        ground = np.where(left, worth.ground + NEGLIGIBLE, 0.0)
-        hiding = np.where(expected.hiding, worth.search * square, 0.0) * worth.share
+        left, unseen = self.failed.left(situation.occupancy), situation.occupancy.unseen
+        ground = np.where(left, worth.ground + NEGLIGIBLE, 0.0) * unseen
+        hiding = np.where(expected.hiding, worth.search * square, 0.0) * worth.share * unseen
         return Prospect(
             pose_views,
             ground=pose_views.on_tiles(ground),

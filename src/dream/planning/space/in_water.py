@@ -73,7 +73,9 @@ class InWater:
 
     def from_above(self, occupancy: OccupancyMap) -> OccupancyMap:
         """The map to a pilot of the plane, to be read until the map changes."""
-        return occupancy.counting(self.searched(occupancy), self.protocol.reach, self.passed_over(occupancy))
+        unseen = np.where(occupancy.seen, self.overlooked.share, np.float32(1.0))
+        unseen[self.searched(occupancy)] = 0.0
+        return occupancy.counting(unseen, self.protocol.reach, self.passed_over(occupancy))
 
     def enough(self, hiding: BoolArray, occupancy: OccupancyMap) -> bool:
         """May the search end: is so little ground unseen, and are so few individuals expected to be missed?
