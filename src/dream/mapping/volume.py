@@ -95,8 +95,8 @@ class Surface:
     def bearings(self) -> npt.NDArray[np.uint8]:
         """(n,) bits of the eighths of the compass from which it was inspected, from whatever height."""
         # Each byte is a band of heights.
-        bands = np.ascontiguousarray(self.sides)[:, None].view(np.uint8)
-        return np.asarray(np.bitwise_or.reduce(bands, axis=1))
+        bands = self.sides | self.sides >> 16
+        return (bands | bands >> 8).astype(np.uint8)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -349,7 +349,7 @@ class Volume:
         low, high = (local[inner] + edge for edge in self.protocol.band)
         # Ground whose height errs by a voxel does not stand up.
         low += 0.5 * cell
-        solid = kernels.solid_between(self._bricks, x[inner[1]], y[inner[0]], cell, low, high)
+        solid = kernels.solid_between(self._bricks, x[inner[1]], y[inner[0]], cell, levels, low, high)
         highest, votes = highest[inner], votes[inner]
         ground = np.where(highest > none, local[inner], np.nan)
         top = np.where(highest > none, (highest + 1) * cell, np.nan)
