@@ -17,6 +17,8 @@ from scipy import ndimage
 
 from dream.geometry import SE3, Bounds, Camera, camera_mount
 from dream.mapping._kernels import volume_frame as frame_kernels
+from dream.mapping._kernels import volume_surface as surface_kernels
+from dream.mapping._kernels.volume import SIDE
 from dream.mapping._kernels.volume_frame import CAST, MOST_VOTES
 from dream.mapping.volume import (
     BELIEVED,
@@ -545,8 +547,77 @@ def test_the_surface_is_all_that_is_solid_and_touches_free_water(corner: Volume)
     np.testing.assert_allclose(surface.target, corner.target(surface.middles))
 
 
+def test_normals_point_away_from_what_is_solid_around_and_towards_what_is_free(corner: Volume) -> None:
+    states, first = states_around(corner)
+    surface = corner.surface()
+    at = np.floor(surface.middles / corner.cell).astype(int)[:, ::-1] - first
+    sign = np.where(states == FREE, 1.0, np.where(states == SOLID, -1.0, 0.0))
+    total = np.zeros(at.shape)
+    for step in itertools.product((-1, 0, 1), repeat=3):
+        if any(step):
+            total += sign[tuple((at + step).T)][:, None] * np.array(step[::-1]) / np.linalg.norm(step)
+    length = np.linalg.norm(total, axis=1)
+    plain = length > 1e-6
+    assert plain.mean() > 0.9
+    np.testing.assert_allclose(surface.normals[plain], (total.T / length).T[plain], atol=1e-12)
+
+
 def test_the_surface_of_nothing_is_none() -> None:
     assert len(Volume(PROTOCOL).surface().area) == 0
+
+
+def slow_column(volume: Volume, x: float, y: float, levels: range) -> tuple[int, int, list[int], bool]:
+    """Of one column: the lowest solid voxel that is no target, the highest, votes, and whether explored."""
+    points = [(x, y, (level + 0.5) * volume.cell) for level in range(levels.start, levels.stop + 1)]
+    states, (slots, numbers) = volume.state(points), volume._look_up(points)
+    kept = volume._bricks.surface_of[slots]
+    votes = volume._bricks.votes[kept, numbers].astype(int)
+    seen = volume._bricks.seen[kept, numbers] != 0
+    solid = states == SOLID
+    below = np.append(False, (solid & seen)[:-1])
+    bare = [k for k, level in enumerate(levels) if solid[k] and 2 * votes[k, 0] <= votes[k, 1]]
+    up = solid[:-1] & (states[1:] == FREE)
+    return (
+        levels.start + min(bare, default=-1),
+        levels.start + max(np.flatnonzero(solid), default=-1),
+        votes[solid].sum(axis=0).tolist(),
+        bool(up.any() and (seen | below)[:-1][up].all()),
+    )
+
+
+@pytest.mark.parametrize("shift", [0.0, 0.1, 1.37])
+def test_columns_are_those_that_are_looked_up_voxel_by_voxel(corner: Volume, shift: float) -> None:
+    assert corner.box is not None
+    # Past the bricks on all sides.
+    x, y = (np.arange(a - 1.0, b + 1.0, corner.cell) + shift for a, b in corner.box[:, :2].T)
+    x, y = x[::3], y[::2]
+    low, past = (int(k) for k in np.rint(corner.box[:, 2] / (SIDE * corner.cell)))
+    lowest, highest, votes, explored = surface_kernels.columns(corner._bricks, x, y, corner.cell, (low, past))
+    levels = range(low * SIDE, past * SIDE)
+    for i, j in np.ndindex(lowest.shape):
+        found = lowest[i, j], highest[i, j], votes[i, j].tolist(), explored[i, j]
+        assert found == slow_column(corner, x[j], y[i], levels), (i, j)
+    assert explored.any()
+    assert (votes[..., 1] > 0)[~explored].any()
+    assert (lowest < highest).any()
+
+
+def test_between_two_heights_something_is_solid_where_a_voxels_middle_is(corner: Volume) -> None:
+    assert corner.box is not None
+    rng = np.random.default_rng(0)
+    x, y = (np.arange(a - 1.0, b + 1.0, 0.7) for a, b in corner.box[:, :2].T)
+    low, past = (int(k) for k in np.rint(corner.box[:, 2] / (SIDE * corner.cell)))
+    bottom = rng.uniform(-13.0, -7.0, (len(y), len(x)))
+    top = bottom + rng.uniform(-0.5, 4.0, bottom.shape)
+    bottom[rng.random(bottom.shape) < 0.1] = np.nan
+    solid = surface_kernels.solid_between(corner._bricks, x, y, corner.cell, (low, past), bottom, top)
+    middles = (np.arange(low * SIDE, past * SIDE) + 0.5) * corner.cell
+    for i, j in np.ndindex(bottom.shape):
+        between = middles[(middles >= bottom[i, j]) & (middles <= top[i, j])]
+        points = np.column_stack(np.broadcast_arrays(x[j], y[i], between)).reshape(-1, 3)
+        assert solid[i, j] == (corner.state(points) == SOLID).any()
+    assert solid.any()
+    assert not solid.all()
 
 
 def test_from_above_a_mounds_unseen_flank_is_not_explored() -> None:

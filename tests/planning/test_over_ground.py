@@ -20,12 +20,12 @@ from dream.planning import (
     SweepAndGraze,
 )
 from dream.planning.space.ground import GroundSearch
-from dream.planning.space.in_water import ENOUGH
+from dream.planning.space.in_water import ENOUGH, InWater
 from dream.planning.space.over_ground import OverGround
 from dream.protocol import DREAM_V1
 from dream.protocol import DREAM_V2_TRUE_DRAFT as PROTOCOL
 from dream.types import Decision, Mission, Observation, Target
-from tests.planning.standing import BOUNDS, SEABED, forget, mission, observed, water
+from tests.planning.standing import BOUNDS, SEABED, forget, mission, observed, solid, water
 
 SEARCHERS: dict[str, Any] = {
     "lawnmower": Lawnmower(),
@@ -107,6 +107,23 @@ def test_where_no_water_around_is_known_it_turns_or_looks_and_never_moves(planne
     for k in range(4):
         move = pilot.decide(observed(0.0, 0.0, HEIGHT, k * PROTOCOL.heading_step), occupancy)
         assert (move.advance, move.climb) == (0.0, 0.0)
+
+
+def test_it_passes_over_what_stands_up_no_higher_than_the_search_leaves_room_for() -> None:
+    volume = water()
+    solid(volume, (2.0, 2.0, SEABED), (3.0, 3.0, SEABED + 1.0))
+    solid(volume, (-3.0, 2.0, SEABED), (-2.0, 3.0, SEABED + 3.5))
+    occupancy, search = map_of(volume), InWater(mission())
+    top = np.full(occupancy.shape, -np.inf)
+    for x, y, z in volume.surface().middles:
+        if occupancy.contains(x, y):
+            top[occupancy.cell_of(x, y)] = max(top[occupancy.cell_of(x, y)], z + 0.5 * PROTOCOL.cell)
+    assert PROTOCOL.space is not None
+    room = occupancy.ground + search.height - PROTOCOL.space.lowest
+    found = search.passed_over(occupancy)
+    np.testing.assert_array_equal(found, occupancy.solid & (top <= room))
+    assert found[occupancy.cell_of(2.5, 2.5)]
+    assert (occupancy.solid & ~found)[occupancy.cell_of(-2.5, 2.5)]
 
 
 @dataclass

@@ -12,12 +12,13 @@ import pytest
 from dream.control import guard, setpoint
 from dream.geometry import SE2, Bounds
 from dream.lattice import lattice_of
-from dream.mapping import OccupancyMap
+from dream.mapping import OccupancyMap, check_completion
 from dream.planning._kernels.moves import keep_to
 from dream.planning._kernels.search import search
-from dream.planning.travel import Travel, travel_from
+from dream.planning.travel import Travel, careful_travel, nearest_open, travel_from
 from dream.protocol import DREAM_V1
 from dream.types import Decision
+from tests.mapping.analytic import map_with
 
 START = SE2(0.5, -0.5, math.pi / 2)
 
@@ -149,3 +150,49 @@ def test_a_first_move_is_one_that_the_guard_lets_pass_from_where_the_vehicle_is(
                 assert passes or not travel.free[at, k]
                 narrow += not passes
     assert narrow
+
+
+def test_a_search_is_made_once_for_a_pose_and_a_standoff_until_the_map_changes() -> None:
+    known = OccupancyMap(Bounds(-10.0, -10.0, 10.0, 10.0), DREAM_V1)
+    known.clear_launch(0.0, 0.0)
+    first = travel_from(START, known)
+    assert travel_from(SE2(START.x, START.y, START.yaw), known) is first
+    # The guard looks at a first move from exactly where the vehicle is.
+    for other in (travel_from(SE2(START.x + 1e-3, START.y, START.yaw), known), careful_travel(START, known)):
+        assert other is not first
+    known.clear_launch(3.5, 1.0)
+    assert travel_from(START, known).reached.sum() > first.reached.sum()
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_nearest_open_region_is_the_one_whose_edge_is_fewest_steps_away(seed: int) -> None:
+    generator = np.random.default_rng(seed)
+    target, explored = np.zeros((2, 96, 96), np.bool_)
+    for row, col in generator.integers(0, 94, (12, 2)):
+        target[row : row + 3, col : col + 3] = True
+    explored[10:86, 10:86] = True
+    explored[generator.random(explored.shape) < 0.01] = False
+    occupancy = map_with(explored=explored, target=target)
+    completion, travel = check_completion(occupancy, START), travel_from(START, occupancy)
+    reached = np.flatnonzero(travel.reached)
+    fewest = []
+    for region in completion.regions:
+        steps = [math.inf]
+        for x, y in np.stack(occupancy.center_of(*region.open_cells.T), axis=-1):
+            away = np.hypot(*(travel.lattice.positions[reached] - (x, y)).T)
+            # Of several that are as near any may be asked.
+            steps.append(travel.nearest[reached][away <= away.min() + 1e-9].min())
+        fewest.append(steps)
+    found = nearest_open(completion, travel, occupancy)
+    assert found is not None
+    at = [region is found for region in completion.regions].index(True)
+    assert min(fewest[at]) == min(map(min, fewest))
+    assert sum(not region.enclosed for region in completion.regions) > 3
+
+
+def test_where_all_regions_are_enclosed_none_is_the_nearest_open() -> None:
+    target = np.zeros((96, 96), np.bool_)
+    target[50:53, 60:64] = True
+    occupancy = map_with(explored=np.ones_like(target), target=target)
+    travel = travel_from(START, occupancy)
+    assert nearest_open(check_completion(occupancy, START), travel, occupancy) is None

@@ -10,7 +10,7 @@ import numpy as np
 
 from dream.geometry import SE2, Bounds
 from dream.mapping.lattice import node_of, reachable
-from dream.mapping.nearness import within
+from dream.mapping.nearness import columns_near, within
 from dream.mapping.sightlines import seeable
 from dream.protocol import SurveyProtocol
 from dream.types import BoolArray, IntArray
@@ -85,60 +85,64 @@ def check_completion(occupancy: OccupancyMap, pose: SE2) -> Completion:
 
 
 def _completion(occupancy: OccupancyMap, pose: SE2) -> Completion:
-    regions = tuple(_regions(occupancy, pose))
-    if regions:
-        open_cells = np.unique(np.concatenate([region.open_cells for region in regions]), axis=0)
-        sentence = _open_regions(occupancy, regions)
+    outlines = tuple(_outlines(occupancy))
+    if outlines:
+        # Outlines overlap, and each question has its price.
+        asked = np.zeros(occupancy.shape, np.bool_)
+        for _, _, candidates in outlines:
+            asked[tuple(candidates.T)] = True
     else:
-        unobserved = np.argwhere(~occupancy.observed)
-        open_cells = unobserved[seeable(occupancy, pose, unobserved)]
-        sentence = _open_ground(occupancy, open_cells)
+        asked = ~occupancy.observed
+    cells = np.argwhere(asked)
+    open_cells = cells[seeable(occupancy, pose, cells)]
+    is_open = np.zeros(occupancy.shape, np.bool_)
+    is_open[tuple(open_cells.T)] = True
+    regions = tuple(
+        Region(
+            _frozen(mine),
+            _middle(occupancy, mine),
+            extent,
+            _frozen(candidates[is_open[tuple(candidates.T)]]),
+        )
+        for mine, extent, candidates in outlines
+    )
+    sentence = _open_regions(occupancy, regions) if regions else _open_ground(occupancy, open_cells)
     left = _untraversed(occupancy, pose)
     return Completion(
         regions, _frozen(open_cells), sentence or _left_to_traverse(occupancy, left), _frozen(left)
     )
 
 
-def _regions(occupancy: OccupancyMap, pose: SE2) -> Iterator[Region]:
+def _outlines(occupancy: OccupancyMap) -> Iterator[tuple[IntArray, Bounds, IntArray]]:
     """Target cells within the smallest group's radius of each other, in the raster order of their first.
 
-    Of those nothing of whose outline lies in the area, none is named.
+    With the box around them, and the cells of their outline that are not observed. Of those nothing of whose
+    outline lies in the area, none is named.
     """
     from scipy import ndimage
 
     from dream.mapping._kernels import nearness
+    from dream.mapping._kernels.outline import outline
 
     protocol, half = occupancy.protocol, 0.5 * occupancy.protocol.cell
+    wide = columns_near(MARGIN_CELLS, 1.0)
     labels, _ = nearness.linked(occupancy.target, (protocol.group_radius / protocol.cell) ** 2)
     for number, box in enumerate(ndimage.find_objects(labels), start=1):
         margin = MARGIN_CELLS + 1  # As far as an outline goes, and one more cell that is not in it.
         low = [max(side.start - margin, 0) for side in box]
         window = tuple(slice(a, side.stop + margin) for a, side in zip(low, box, strict=True))
         mine = labels[window] == number
-        outline = _filled(within(mine, MARGIN_CELLS, 1.0))
-        if not (outline & occupancy.to_see[window]).any():
+        inside = outline(mine, wide)
+        if not (inside & occupancy.to_see[window]).any():
             continue
-        candidates = np.argwhere(outline & ~occupancy.observed[window]) + low
-        cells = np.argwhere(mine) + low
         (west, east), (south, north) = occupancy.center_of(
             [box[0].start, box[0].stop - 1], [box[1].start, box[1].stop - 1]
         )
-        yield Region(
-            _frozen(cells),
-            _middle(occupancy, cells),
+        yield (
+            np.argwhere(mine) + low,
             Bounds(float(west) - half, float(south) - half, float(east) + half, float(north) + half),
-            _frozen(candidates[seeable(occupancy, pose, candidates)]),
+            np.argwhere(inside & ~occupancy.observed[window]) + low,
         )
-
-
-def _filled(mask: BoolArray) -> BoolArray:
-    """The mask with its holes: what cannot be reached from the border by 4-neighbours."""
-    from scipy import ndimage
-
-    labels, _ = ndimage.label(~mask)
-    outside = np.unique(np.concatenate((labels[0], labels[-1], labels[:, 0], labels[:, -1])))
-    filled: BoolArray = mask | ~np.isin(labels, outside)
-    return filled
 
 
 def to_traverse(occupancy: OccupancyMap) -> BoolArray:

@@ -342,7 +342,7 @@ class Volume:
         low, high = (local[inner] + edge for edge in self.protocol.band)
         # Ground whose height errs by a voxel does not stand up.
         low += 0.5 * cell
-        solid = kernels.solid_between(self._bricks, x[inner[1]], y[inner[0]], cell, low, high)
+        solid = kernels.solid_between(self._bricks, x[inner[1]], y[inner[0]], cell, levels, low, high)
         highest, votes = highest[inner], votes[inner]
         ground = np.where(highest > none, local[inner], np.nan)
         top = np.where(highest > none, (highest + 1) * cell, np.nan)

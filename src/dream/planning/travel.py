@@ -81,7 +81,14 @@ def travel_from(pose: SE2, occupancy: OccupancyMap, *, standoff: float = 0.0) ->
         pose: Where the vehicle is.
         occupancy: What is known.
         standoff: Least distance of a position from the middle of a solid cell, metres.
+
+    Returns:
+        The same to all who ask until the map changes; whoever changes the arrays copies them.
     """
+    return occupancy.answer(("travel", pose, standoff), lambda: _search(pose, occupancy, standoff))
+
+
+def _search(pose: SE2, occupancy: OccupancyMap, standoff: float) -> Travel:
     from dream.planning._kernels.search import search
 
     lattice = lattice_of(occupancy.bounds, occupancy.protocol)
@@ -138,8 +145,8 @@ def nearest_open(completion: Completion, travel: Travel, occupancy: OccupancyMap
         return None
     nodes, steps = cKDTree(travel.lattice.positions[reached]), travel.nearest[reached]
 
-    def steps_to(region: Region) -> int:
-        cells = np.stack(occupancy.center_of(*region.open_cells.T), axis=-1)
-        return int(steps[nodes.query(cells)[1]].min())
-
-    return min(open_regions, key=steps_to)
+    edges = [region.open_cells for region in open_regions]
+    cells = np.stack(occupancy.center_of(*np.concatenate(edges).T), axis=-1)
+    first = np.cumsum([0, *map(len, edges[:-1])])
+    fewest = np.minimum.reduceat(steps[nodes.query(cells)[1]], first)
+    return open_regions[int(np.argmin(fewest))]

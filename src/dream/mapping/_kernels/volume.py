@@ -119,13 +119,6 @@ def within(level, row, col):
 
 
 @njit(cache=True, nogil=True)
-def odds_at(bricks, level, row, col):
-    """Log-odds of the voxel there; 0 where there is no brick."""
-    slot = find(bricks, level >> BITS, row >> BITS, col >> BITS)
-    return bricks.log_odds[slot, within(level, row, col)]
-
-
-@njit(cache=True, nogil=True)
 def look_up(bricks, points, side):
     """(n,) brick and (n,) number within it of the voxel that each point (n, 3) lies in; metres.
 

@@ -17,13 +17,14 @@ from dream.mapping._kernels.volume import (
     UNKNOWN,
     VOXELS,
     find,
-    odds_at,
     state_of,
     within,
 )
 
 HALO = SIDE + 2
 """Voxels along a brick with one more on each side."""
+NEARNESS = (math.inf, 1.0, 1.0 / math.sqrt(2.0), 1.0 / math.sqrt(3.0))
+"""One over the distance of two voxels, by its square."""
 
 
 @njit(cache=True, nogil=True)
@@ -58,16 +59,18 @@ def touches(states, i, j, k, state):
 
 
 @njit(cache=True, nogil=True)
-def _normal(states, i, j, k):
-    """(3,) east, north, up: towards the free voxels among the 26 around, of length 1."""
-    normal = np.zeros(3)
+def _write_normal(states, i, j, k, normal):
+    """Write into (3,) east, north, up: towards the free voxels among the 26 around, of length 1."""
+    normal[:] = 0.0
     for a in range(-1, 2):
         for b in range(-1, 2):
             for c in range(-1, 2):
                 state = states[i + a, j + b, k + c]
                 if state == UNKNOWN or (a == 0 and b == 0 and c == 0):
                     continue
-                weight = (1.0 if state == FREE else -1.0) / math.sqrt(a * a + b * b + c * c)
+                weight = NEARNESS[a * a + b * b + c * c]
+                if state != FREE:
+                    weight = -weight
                 normal[0] += c * weight
                 normal[1] += b * weight
                 normal[2] += a * weight
@@ -80,8 +83,9 @@ def _normal(states, i, j, k):
                 if states[i + a, j + b, k + c] == FREE:
                     normal[:] = 0.0
                     normal[axis] = sign
-                    return normal
-    return normal / length
+                    return
+    for axis in range(3):
+        normal[axis] /= length
 
 
 @njit(cache=True, nogil=True)
@@ -123,7 +127,7 @@ def surface(bricks):
             voxels[count, 0] = level * SIDE + i - 1
             voxels[count, 1] = row * SIDE + j - 1
             voxels[count, 2] = col * SIDE + k - 1
-            normals[count] = _normal(states, i, j, k)
+            _write_normal(states, i, j, k, normals[count])
             share[count] = bricks.votes[kept, number, 0] / max(bricks.votes[kept, number, 1], 1)
             seen[count] = bricks.seen[kept, number] != 0
             sides[count] = bricks.sides[kept, number]
@@ -137,6 +141,34 @@ def grown(array, size):
     larger = np.empty((size, *array.shape[1:]), array.dtype)
     larger[: len(array)] = array
     return larger
+
+
+@njit(cache=True, nogil=True)
+def _indices(at, side):
+    """(n,) rows or columns of voxels that places lie in, metres."""
+    found = np.empty(len(at), np.int64)
+    for n in range(len(at)):
+        found[n] = math.floor(at[n] / side)
+    return found
+
+
+@njit(cache=True, nogil=True)
+def _past(indices, first):
+    """Past the last of those from the first on that lie in the same row or column of bricks."""
+    past = first + 1
+    while past < len(indices) and indices[past] >> BITS == indices[first] >> BITS:
+        past += 1
+    return past
+
+
+@njit(cache=True, nogil=True)
+def _stack(bricks, levels, row, col, slots):
+    """Write the bricks that stand over each other there, from the first level on; does any keep a return?"""
+    some = False
+    for n in range(len(slots)):
+        slots[n] = find(bricks, levels[0] + n, row >> BITS, col >> BITS)
+        some |= bricks.surface_of[slots[n]] != 0
+    return some
 
 
 @njit(cache=True, nogil=True)
@@ -160,51 +192,83 @@ def columns(bricks, x, y, side, levels):
     none = levels[0] * SIDE - 1
     lowest, highest = np.full(shape, none), np.full(shape, none)
     votes, explored = np.zeros((*shape, 2), np.int64), np.zeros(shape, np.bool_)
-    for i in range(len(y)):
-        row = math.floor(y[i] / side)
-        for j in range(len(x)):
-            col = math.floor(x[j] / side)
-            bare, open_above, was_seen = False, False, none - 1
-            for brick in range(levels[0], levels[1]):
-                slot = find(bricks, brick, row >> BITS, col >> BITS)
-                kept = bricks.surface_of[slot]
-                if kept == 0:
-                    continue
-                over = find(bricks, brick + 1, row >> BITS, col >> BITS)
-                for h in range(SIDE):
-                    number = within(h, row, col)
-                    if bricks.log_odds[slot, number] <= 0:
-                        continue
-                    target, cast = np.int64(bricks.votes[kept, number, 0]), bricks.votes[kept, number, 1]
-                    level = brick * SIDE + h
-                    if lowest[i, j] == none and 2 * target <= cast:
-                        lowest[i, j] = level
-                    highest[i, j] = level
-                    votes[i, j, 0] += target
-                    votes[i, j, 1] += cast
-                    above = slot if h + 1 < SIDE else over
-                    if bricks.log_odds[above, within(h + 1, row, col)] < 0:
-                        open_above = True
-                        bare |= bricks.seen[kept, number] == 0 and was_seen < level - 1
-                    if bricks.seen[kept, number] != 0:
-                        was_seen = level
-            explored[i, j] = open_above and not bare
+    rows, cols = _indices(y, side), _indices(x, side)
+    # One more, which lies over the last and is nothing.
+    slots = np.empty(levels[1] - levels[0] + 1, np.int64)
+    first_row = 0
+    while first_row < len(rows):
+        past_row, first_col = _past(rows, first_row), 0
+        while first_col < len(cols):
+            past_col = _past(cols, first_col)
+            if _stack(bricks, levels, rows[first_row], cols[first_col], slots):
+                for i in range(first_row, past_row):
+                    for j in range(first_col, past_col):
+                        lowest[i, j], highest[i, j], explored[i, j] = _column(
+                            bricks, slots, rows[i], cols[j], none, votes[i, j]
+                        )
+            first_col = past_col
+        first_row = past_row
     return lowest, highest, votes, explored
 
 
 @njit(cache=True, nogil=True)
-def solid_between(bricks, x, y, side, low, high):
+def _column(bricks, slots, row, col, none, votes):
+    """Lowest, highest and explored of one column of voxels, and into (2,) its votes; see `columns`."""
+    lowest, highest = none, none
+    bare, open_above, was_seen = False, False, none - 1
+    for n in range(len(slots) - 1):
+        slot = slots[n]
+        kept = bricks.surface_of[slot]
+        if kept == 0:
+            continue
+        for h in range(SIDE):
+            number = within(h, row, col)
+            if bricks.log_odds[slot, number] <= 0:
+                continue
+            target, cast = np.int64(bricks.votes[kept, number, 0]), bricks.votes[kept, number, 1]
+            level = none + 1 + n * SIDE + h
+            if lowest == none and 2 * target <= cast:
+                lowest = level
+            highest = level
+            votes[0] += target
+            votes[1] += cast
+            above = slot if h + 1 < SIDE else slots[n + 1]
+            if bricks.log_odds[above, within(h + 1, row, col)] < 0:
+                open_above = True
+                bare |= bricks.seen[kept, number] == 0 and was_seen < level - 1
+            if bricks.seen[kept, number] != 0:
+                was_seen = level
+    return lowest, highest, open_above and not bare
+
+
+@njit(cache=True, nogil=True)
+def solid_between(bricks, x, y, side, levels, low, high):
     """(rows, cols) whether a solid voxel's middle lies between two heights (rows, cols); see `columns`."""
     solid = np.zeros(low.shape, np.bool_)
-    for i in range(len(y)):
-        row = math.floor(y[i] / side)
-        for j in range(len(x)):
-            col = math.floor(x[j] / side)
-            if not low[i, j] <= high[i, j]:
-                continue
-            first, last = math.ceil(low[i, j] / side - 0.5), math.floor(high[i, j] / side - 0.5)
-            for level in range(first, last + 1):
-                if odds_at(bricks, level, row, col) > 0:
-                    solid[i, j] = True
-                    break
+    rows, cols = _indices(y, side), _indices(x, side)
+    slots = np.empty(levels[1] - levels[0], np.int64)
+    first_row = 0
+    while first_row < len(rows):
+        past_row, first_col = _past(rows, first_row), 0
+        while first_col < len(cols):
+            past_col = _past(cols, first_col)
+            # Where nothing returned nothing is solid.
+            if _stack(bricks, levels, rows[first_row], cols[first_col], slots):
+                for i in range(first_row, past_row):
+                    for j in range(first_col, past_col):
+                        if low[i, j] <= high[i, j]:
+                            first = max(math.ceil(low[i, j] / side - 0.5), levels[0] * SIDE)
+                            past = min(math.floor(high[i, j] / side - 0.5) + 1, levels[1] * SIDE)
+                            solid[i, j] = _some_solid(bricks, slots, levels, rows[i], cols[j], first, past)
+            first_col = past_col
+        first_row = past_row
     return solid
+
+
+@njit(cache=True, nogil=True)
+def _some_solid(bricks, slots, levels, row, col, first, past):
+    """Is a voxel of a column solid between two levels of voxels?"""
+    for level in range(first, past):
+        if bricks.log_odds[slots[(level >> BITS) - levels[0]], within(level, row, col)] > 0:
+            return True
+    return False

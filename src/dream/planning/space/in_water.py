@@ -125,7 +125,9 @@ class InWater:
         middles = occupancy.volume.surface().middles
         inside = occupancy.contains(*middles[:, :2].T)
         top = np.full(occupancy.shape, -np.inf)
-        np.maximum.at(top, occupancy.cell_of(*middles[inside, :2].T), middles[inside, 2])
+        # By one number a cell it takes a tenth of the time.
+        cells = np.ravel_multi_index(occupancy.cell_of(*middles[inside, :2].T), top.shape)
+        np.maximum.at(top.reshape(-1), cells, middles[inside, 2])
         highest = occupancy.ground + self.height - self.protocol.space.lowest
         return np.asarray(occupancy.solid & (top + 0.5 * occupancy.volume.cell <= highest))
 
