@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,7 @@ from dream.planning.space.overlooked import MISSED as MISSES
 from dream.planning.space.overlooked import PARTS, Overlooked
 from dream.protocol import DREAM_V2_TRUE_DRAFT as PROTOCOL
 from dream.types import Observation
-from tests.planning.standing import BOUNDS, SEABED, mission, observed
+from tests.planning.standing import BOUNDS, SEABED, middles_in, mission, observed, vote, water
 
 Array = np.ndarray[Any, Any]
 HEIGHT = 3.5
@@ -98,72 +99,92 @@ def test_beyond_the_reach_nothing_is_looked_at() -> None:
 
 @pytest.fixture
 def searched() -> tuple[InWater, Any]:
-    """A search of a square all of which was seen, a quarter of it target."""
-    water = InWater(mission())
-    shape = OccupancyMap(BOUNDS, PROTOCOL).shape
-    target = np.zeros(shape, np.bool_)
-    target[: shape[0] // 2, : shape[1] // 2] = True
-    every = np.ones(shape, np.bool_)
-
-    class Map:
-        seen, observed, to_see = every.copy(), every.copy(), every.copy()
-
-    Map.target = target  # type: ignore[attr-defined]
-    return water, Map
+    """A search of a square all of which was seen, a quarter of it told to be target."""
+    over, every = InWater(mission()), np.ones(OccupancyMap(BOUNDS, PROTOCOL).shape, np.bool_)
+    over.told[: every.shape[0] // 2, : every.shape[1] // 2] = True
+    return over, SimpleNamespace(seen=every.copy(), observed=every.copy(), to_see=every.copy())
 
 
 def test_what_is_missed_is_told_by_the_looks_at_targets(searched: tuple[InWater, Any]) -> None:
-    water, occupancy = searched
-    assert water.missed(occupancy) == 1.0
+    over, occupancy = searched
+    assert over.missed(occupancy) == 1.0
     one = law(math.radians(50.0))
-    water.overlooked.share[:] = one
-    assert water.missed(occupancy) == pytest.approx(one, rel=1e-3)
-    assert not water.searched(occupancy)[occupancy.target].any()
+    over.overlooked.share[:] = one
+    assert over.missed(occupancy) == pytest.approx(one)
+    assert not over.searched(occupancy)[over.told].any()
+    assert over.searched(occupancy)[~over.told].all()
     # Looks at bare ground add nothing.
-    water.overlooked.share[~occupancy.target] = 0.0
-    assert water.missed(occupancy) == pytest.approx(one, rel=0.1)
-    water.overlooked.share[:] = one**2
-    assert water.missed(occupancy) == pytest.approx(one**2, rel=1e-3)
+    over.overlooked.share[~over.told] = 0.0
+    assert over.missed(occupancy) == pytest.approx(one)
+    over.overlooked.share[:] = one**2
+    assert over.missed(occupancy) == pytest.approx(one**2)
     assert one**2 < MISSED < one
     assert one**2 < SEARCHED < one
-    assert water.searched(occupancy).all()
+    assert over.searched(occupancy).all()
 
 
 def test_unseen_ground_holds_what_lies_beside_it(searched: tuple[InWater, Any]) -> None:
-    water, occupancy = searched
-    water.overlooked.share[:] = 0.0
-    assert water.missed(occupancy) == 0.0
-    rows, cols = np.nonzero(occupancy.target)
-    hole = (rows < 6) & (cols < 6)
-    occupancy.seen[rows[hole], cols[hole]] = False
-    assert water.missed(occupancy) == pytest.approx(hole.sum() / len(rows), rel=0.1)
-    occupancy.seen[:] = True
+    over, occupancy = searched
+    over.overlooked.share[:] = 0.0
+    assert over.missed(occupancy) == 0.0
+    hole = np.s_[:6, :6]
+    occupancy.seen[hole] = over.told[hole] = False
+    assert over.missed(occupancy) == pytest.approx(36 / (over.told.sum() + 36))
+    over.told[hole] = occupancy.seen[:] = True
     occupancy.seen[-6:, -6:] = False
-    assert water.missed(occupancy) == 0.0
+    assert over.missed(occupancy) == 0.0
+    occupancy.seen[:] = False
+    assert over.missed(occupancy) == 1.0
 
 
-def test_a_few_cells_that_are_told_to_be_target_are_none(searched: tuple[InWater, Any]) -> None:
-    water, occupancy = searched
-    occupancy.target[:] = False
-    occupancy.target[20, 20] = True
-    assert water.told(occupancy).max() == 0.0
-    assert water.searched(occupancy).all()
-    occupancy.target[20:24, 20:24] = True
-    assert water.told(occupancy).max() >= TOLD
-    assert not water.searched(occupancy)[21, 21]
+def test_targets_are_told_where_a_twentieth_of_the_votes_is_for_them() -> None:
+    volume, frame = water(), looking(0.0, 0.0, 0.0)
+    occupancy = OccupancyMap(BOUNDS, PROTOCOL)
+    occupancy.volume = volume
+    over, patch = InWater(mission()), occupancy.cell_of(2.0, 2.0)
+    found = []
+    for share in (0.0, 0.5 * TOLD, 1.5 * TOLD):
+        vote(volume, middles_in((1.0, 1.0, SEABED - PROTOCOL.cell), (3.0, 3.0, SEABED)), share)
+        occupancy._look_from_above(0.0, 0.0, SEABED + 2.0)
+        occupancy._changed()
+        over.take(frame, occupancy)
+        assert not over.told[occupancy.cell_of(-2.0, -2.0)]
+        found.append(bool(over.told[patch]))
+        # No cell has most of its votes for target.
+        assert not occupancy.target.any()
+    assert found == [False, False, True]
 
 
 def test_it_ends_when_little_ground_is_unseen_and_little_is_missed(searched: tuple[InWater, Any]) -> None:
-    water, occupancy = searched
+    over, occupancy = searched
     nothing = np.zeros(occupancy.seen.shape, np.bool_)
-    assert not water.enough(nothing, occupancy)
-    water.overlooked.share[:] = law(math.radians(40.0)) ** 2
-    assert water.enough(nothing, occupancy)
+    assert not over.enough(nothing, occupancy)
+    over.overlooked.share[:] = law(math.radians(40.0)) ** 2
+    assert over.enough(nothing, occupancy)
     # A hole wide enough to be gone back for, in bare ground: of the whole it is too much.
     side = math.ceil(math.sqrt(LEFT * occupancy.seen.size)) + 1
     hiding = nothing.copy()
     hiding[-side:, -side:] = True
     occupancy.observed[-side:, -side:] = False
-    assert not water.enough(hiding, occupancy)
+    assert not over.enough(hiding, occupancy)
     occupancy.observed[-side:, -side:] = True
-    assert water.enough(hiding, occupancy)
+    assert over.enough(hiding, occupancy)
+
+
+def test_the_map_to_a_pilot_tells_what_is_still_to_be_seen_of_each_cell() -> None:
+    occupancy = OccupancyMap(BOUNDS, PROTOCOL)
+    occupancy.volume = water()
+    occupancy._look_from_above(0.0, 0.0, SEABED + 2.0)
+    occupancy._changed()
+    over = InWater(mission())
+    once, twice, bare = ((20, 20), (24, 20), (20, 24))
+    over.told[once] = over.told[twice] = True
+    over.overlooked.share[once] = over.overlooked.share[bare] = 2.0 * SEARCHED
+    over.overlooked.share[twice] = 0.5 * SEARCHED
+    near = over.from_above(occupancy)
+    assert occupancy.seen[once]
+    assert near.unseen[once] == np.float32(2.0 * SEARCHED)
+    assert near.unseen[twice] == near.unseen[bare] == 0.0
+    assert (near.unseen[~occupancy.seen] == 1.0).all()
+    assert np.array_equal(near.seen, near.unseen == 0.0)
+    assert np.array_equal(occupancy.unseen, ~occupancy.seen)

@@ -17,7 +17,7 @@ from dream.mapping.occupancy import SURE
 from dream.planning import Belief
 from dream.planning.space.belief import SpaceBelief
 from dream.planning.space.ground import GroundSearch
-from dream.planning.space.in_water import SEARCHED, InWater
+from dream.planning.space.in_water import InWater
 from dream.planning.space.remains import LeftOfStructures, LeftToInspect
 from dream.planning.space.search import FarSearch
 from dream.protocol import DREAM_V1
@@ -25,7 +25,7 @@ from dream.protocol import DREAM_V2_TRUE_DRAFT as PROTOCOL
 from dream.sim.world import World
 from dream.sim.worlds import make_world
 from dream.types import LOOK_AROUND, Decision, Mission, Target
-from tests.planning.standing import SEABED, forget, middles_in, mission, observed, vote, water
+from tests.planning.standing import SEABED, forget, mission, observed, water
 
 STEPS = 20
 SENTENCES = ("distribution", "completion", "next_target", "safety", "action")
@@ -161,26 +161,6 @@ def test_it_looks_down_while_the_water_ahead_is_known() -> None:
     near = water()
     forget(near, (2.0, -7.0, SEABED), (7.0, 7.0, SEABED + 9.0))
     assert through(near, z, Decision(advance=1.0)).tilt is ahead
-
-
-def test_ground_with_targets_is_searched_once_hardly_any_was_overlooked() -> None:
-    volume, area = water(), mission().bounds
-    occupancy = OccupancyMap(area, PROTOCOL)
-    occupancy.volume = volume
-    vote(volume, middles_in((1.0, 1.0, SEABED - PROTOCOL.cell), (3.0, 3.0, SEABED)), 1.0)
-    reef, bare = occupancy.cell_of(2.0, 2.0), occupancy.cell_of(-2.0, -2.0)
-    occupancy._look_from_above(0.0, 0.0, SEABED + 2.0)
-    occupancy._changed()
-    assert occupancy.seen[reef]
-    assert occupancy.target[reef]
-    water_over_it = InWater(mission())
-    found = []
-    for share in (1.0, 2.0 * SEARCHED, 0.5 * SEARCHED):
-        water_over_it.overlooked.share[:] = share
-        searched = water_over_it.searched(occupancy)
-        assert searched[bare] == occupancy.seen[bare]
-        found.append(bool(searched[reef]))
-    assert found == [False, False, True]
 
 
 def test_a_map_of_which_other_ground_counts_as_seen_leaves_the_map_as_it_was() -> None:

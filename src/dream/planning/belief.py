@@ -53,6 +53,10 @@ sequence of actions shows it, and can then be crossed."""
 KEEP = 0.01
 """Share of all that is worth looking at that a tour may leave."""
 
+MORE = 4.0
+"""Times as much as in the plane is the search of ground worth in three dimensions, beside known targets: most
+of what is told to be target beside them may be none."""
+
 
 class ChooserInPlane(Protocol):
     """Chooses the way to what is worth looking at."""
@@ -176,9 +180,16 @@ class Belief:
         from dream.planning.space.belief import SpaceBelief
         from dream.planning.space.ground import GroundSearch
 
-        # Where labels are wrong from everywhere, what is known of ground tells little of that beside it.
-        ground = GroundSearch(mission, replace(self, certify=True).in_plane)
-        return SpaceBelief(mission, ground, chooser)
+        return SpaceBelief(mission, GroundSearch(mission, self.over_ground.in_plane), chooser)
+
+    @property
+    def over_ground(self) -> Belief:
+        """With what it searches ground in three dimensions, where many labels are wrong from everywhere.
+
+        What is known of ground tells little of that beside it there, and hints from afar are wrong as often
+        as right: all ground is looked at, and that counts more beside what is told to be target.
+        """
+        return replace(self, certify=True, glimpse=1.0, search=min(MORE * self.search, 1.0))
 
     def in_plane(self, mission: Mission) -> BeliefPilot:
         """A fresh pilot that keeps its altitude, under whatever protocol."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
@@ -67,7 +67,7 @@ class Greedy:
 
     def of_all_ground(self, mission: Mission) -> BeliefPilot:
         """The same, with all ground to be seen, as `belief` searches it in three dimensions."""
-        return BeliefPilot(replace(self.believes, certify=True), mission, NextView())
+        return BeliefPilot(self.believes.over_ground, mission, NextView())
 
 
 @dataclass(frozen=True, slots=True)

@@ -50,7 +50,7 @@ class GroundSearch:
 
     def decide(self, observation: Observation, occupancy: OccupancyMap) -> Decision:
         """The next move; done where the risk that something was missed is accepted."""
-        self.water.overlooked.take(observation)
+        self.water.take(observation, occupancy)
         near = self.water.from_above(occupancy)
         out = self.water.into_the_open(observation, near)
         if out is not None:

@@ -14,7 +14,7 @@ from dream.planning.space.overlooked import Overlooked
 from dream.planning.space.ways import ways_in
 from dream.planning.travel import careful_standoff, careful_travel
 from dream.protocol import SurveyProtocol
-from dream.types import BoolArray, Decision, Float32Array, Mission, Observation, Reasoning
+from dream.types import BoolArray, Decision, Mission, Observation, Reasoning
 
 if TYPE_CHECKING:
     from dream.mapping import OccupancyMap
@@ -28,11 +28,12 @@ LEFT = 0.01
 """Share of the ground that may lie in larger holes when the search ends."""
 AROUND = 1.0
 """Metres a side of the square in which labels decide whether there are targets."""
-TOLD = 0.2
-"""Share of it from which on there are: on a reef two or three cells of five are told to be target."""
+TOLD = 0.05
+"""Share of its votes from which on there are: where individuals stand apart most of each cell is seabed. In
+murky water four of five individuals lie on ground that is told so, and an eighth of bare ground is."""
 SEARCHED = 0.03
 """Share of its individuals that may have been overlooked in a cell for it to count as searched."""
-MISSED = 0.01
+MISSED = 0.015
 """Share of all of them that may be expected to be missed when the search ends."""
 AHEAD = 3.0
 """Metres of water ahead that are to be known for the camera to look down."""
@@ -56,9 +57,13 @@ class InWater:
     height: float = field(init=False)
     """Metres above ground at which it is searched."""
     overlooked: Overlooked = field(init=False)
+    """The looks at the ground."""
+    told: BoolArray = field(init=False)
+    """(rows, cols) where labels tell that there are targets."""
 
     def __post_init__(self) -> None:
         self.overlooked = Overlooked(self.mission)
+        self.told = np.zeros(self.overlooked.share.shape, np.bool_)
         whole = self.mission.protocol
         assert whole.space is not None
         self.height = max(HEIGHT * whole.trusted, whole.space.lowest + whole.lattice)
@@ -70,6 +75,26 @@ class InWater:
     def in_plane(self) -> Mission:
         """The mission to a pilot of the plane."""
         return replace(self.mission, protocol=self.protocol)
+
+    def take(self, observation: Observation, occupancy: OccupancyMap) -> None:
+        """Add a frame, which the map holds already."""
+        from scipy.ndimage import uniform_filter
+
+        assert occupancy.volume is not None
+        self.overlooked.take(observation)
+        surface = occupancy.volume.surface()
+        x, y = surface.middles[:, :2].T
+        inside = occupancy.contains(x, y)
+        row, col = occupancy.cell_of(x[inside], y[inside])
+        cell, cells = row * occupancy.shape[1] + col, occupancy.seen.size
+        voxels = np.maximum(np.bincount(cell, minlength=cells), 1)
+        share = np.bincount(cell, np.nan_to_num(surface.target[inside]), cells) / voxels
+        width = round(AROUND / self.protocol.cell)
+        target, seen = (
+            uniform_filter(part.astype(np.float32), width, mode="constant")
+            for part in (np.where(occupancy.seen, share.reshape(occupancy.shape), 0.0), occupancy.seen)
+        )
+        self.told = np.asarray(occupancy.seen & (target >= TOLD * np.maximum(seen, 1e-6)))
 
     def from_above(self, occupancy: OccupancyMap) -> OccupancyMap:
         """The map to a pilot of the plane, to be read until the map changes."""
@@ -99,24 +124,10 @@ class InWater:
 
         if not occupancy.seen.any():
             return 1.0
-        share = self.told(occupancy)
         nearest = distance_transform_edt(~occupancy.seen, return_distances=False, return_indices=True)
-        density = np.where(occupancy.to_see, share[tuple(nearest)], 0.0)
-        left = np.where(occupancy.seen, self.overlooked.share, 1.0)
-        total = float(density.sum())
-        return float((density * left).sum()) / total if total > 0.0 else 0.0
-
-    def told(self, occupancy: OccupancyMap) -> Float32Array:
-        """(rows, cols) share of the ground around each cell that is told to be target, 0 below `TOLD`."""
-        from scipy.ndimage import uniform_filter
-
-        width = round(AROUND / self.protocol.cell)
-        target, seen = (
-            uniform_filter(cells.astype(np.float32), width, mode="constant")
-            for cells in (occupancy.target & occupancy.seen, occupancy.seen)
-        )
-        share = target / np.maximum(seen, 1e-6)
-        return np.where(occupancy.seen & (share >= TOLD), share, np.float32(0.0))
+        counted = occupancy.to_see & self.told[tuple(nearest)]
+        left = np.where(occupancy.seen, self.overlooked.share, 1.0)[counted]
+        return float(left.mean()) if len(left) else 0.0
 
     def passed_over(self, occupancy: OccupancyMap) -> BoolArray:
         """(rows, cols) what stands up, but so low that the vehicle passes over it at the search's height."""
@@ -133,9 +144,8 @@ class InWater:
 
     def searched(self, occupancy: OccupancyMap) -> BoolArray:
         """(rows, cols) what was seen of the ground, and where targets are told, was hardly overlooked."""
-        return np.asarray(
-            occupancy.seen & ((self.told(occupancy) == 0.0) | (self.overlooked.share <= SEARCHED))
-        )
+        hardly = self.overlooked.share <= SEARCHED
+        return np.asarray(occupancy.seen & (hardly | ~self.told))
 
     def into_the_open(self, observation: Observation, occupancy: OccupancyMap) -> Decision | None:
         """The way from above or beside what stands up to where a vehicle at its altitude can move on.

@@ -72,11 +72,11 @@ class OverGround:
             )
         self.water = InWater(self.mission)
         self.pilot = self.in_plane(self.water.in_plane)
-        self.judge = Belief(certify=True, glimpse=1.0).in_plane(self.water.in_plane)
+        self.judge = Belief().over_ground.in_plane(self.water.in_plane)
 
     def decide(self, observation: Observation, occupancy: OccupancyMap) -> Decision:
         """The next move, or done."""
-        self.water.overlooked.take(observation)
+        self.water.take(observation, occupancy)
         near = self.water.from_above(occupancy)
         expected = self.judge.expect(self.judge.take(observation, near))
         if self.water.enough(expected.hiding, occupancy):
