@@ -27,7 +27,7 @@ from PIL import Image, ImageDraw, ImageFont
 from scipy.spatial import cKDTree
 
 from dream.geometry import SE3, camera_mount
-from dream.protocol import DREAM_V2_DRAFT
+from dream.protocol import DREAM_V2
 from dream.sim.chart import INK, PAPER, chart
 from dream.sim.habitats import HABITATS
 from dream.sim.inspection import Inspection
@@ -112,7 +112,7 @@ def table(families: list[str], inspected: int) -> None:
             spread([near.rugosity for _, near in reliefs], 2),
         ]
         if inspected:
-            dropped = [Inspection(world, DREAM_V2_DRAFT).dropped for world in worlds[:inspected]]
+            dropped = [Inspection(world, DREAM_V2).dropped for world in worlds[:inspected]]
             line.append(f"{100.0 * np.mean(dropped):.1f} (up to {100.0 * max(dropped):.1f})")
         print("| " + " | ".join(line) + " |", flush=True)
     real = os.environ.get("DREAM_REAL_DATA")
@@ -145,12 +145,12 @@ def frames() -> None:
             for s in widest.starts
             for turn in np.arange(6) * math.pi / 3.0
         ]
-        mount = camera_mount(DREAM_V2_DRAFT.camera_pitch)
-        renderer.render(DREAM_V2_DRAFT.camera, poses[0] @ mount)
+        mount = camera_mount(DREAM_V2.camera_pitch)
+        renderer.render(DREAM_V2.camera, poses[0] @ mount)
         ready = time.perf_counter() - begun
         begun = time.perf_counter()
         for pose in poses:
-            renderer.render(DREAM_V2_DRAFT.camera, pose @ mount)
+            renderer.render(DREAM_V2.camera, pose @ mount)
         each = (time.perf_counter() - begun) / len(poses)
         box = widest.bounds
         print(
@@ -180,9 +180,9 @@ def view(world: World) -> Image.Image:
             z = max(float(world.terrain.height(x, y)), middle[2] - 0.8) + VIEW_HEIGHT
             above, _ = solids.ranges((x, y, z), [(0.0, 0.0, 1.0)], limit=5.0)
             # Neither touching anything nor inside a wall.
-            if np.isfinite(above).any() or not solids.free_at([(x, y, z)], DREAM_V2_DRAFT).all():
+            if np.isfinite(above).any() or not solids.free_at([(x, y, z)], DREAM_V2).all():
                 continue
-            frame = renderer.render(DREAM_V2_DRAFT.camera, SE3.level(x, y, z, yaw) @ mount)
+            frame = renderer.render(DREAM_V2.camera, SE3.level(x, y, z, yaw) @ mount)
             solid = float((frame.labels == Label.OBSTACLE).mean()) if world.name == "reef/walls" else 0.0
             shown.append((min(round(solid, 1), 0.2), len(np.unique(frame.ids)), frame.rgb))
     return Image.fromarray(max(shown, key=lambda each: each[:2])[2])

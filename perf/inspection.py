@@ -18,7 +18,7 @@ from dataclasses import replace
 import numpy as np
 
 from dream.geometry import SE3
-from dream.protocol import DREAM_V2_TRUE_DRAFT as PROTOCOL
+from dream.protocol import DREAM_V2_TRUE as PROTOCOL
 from dream.sim.inspection import SHARE, Inspection
 from dream.sim.inspection.points import POINTS
 from dream.sim.world import Terrain, World

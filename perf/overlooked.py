@@ -34,7 +34,7 @@ LOOKS = 8
 def overlooked(name: str, seed: int) -> tuple[list[float], list[float]]:
     """Share that a look misses by its angle, and that two looks from a quarter turn apart do."""
     world = make_world(name, seed)
-    protocol = ordered_in(world, protocol_named("dream-v2-draft"))
+    protocol = ordered_in(world, protocol_named("dream-v2"))
     sight, position = Inspection(world, protocol), world.targets.position
     height = HEIGHT * protocol.trusted
     chosen = np.random.default_rng(0).choice(np.flatnonzero(sight.countable), SPOTS)

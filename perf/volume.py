@@ -37,7 +37,7 @@ from scipy import ndimage  # noqa: E402
 import map_peers  # noqa: E402
 from dream.geometry import SE3, Bounds, camera_mount  # noqa: E402
 from dream.mapping.volume import FREE, KEPT, SOLID, Volume  # noqa: E402
-from dream.protocol import DREAM_V2_DRAFT  # noqa: E402
+from dream.protocol import DREAM_V2  # noqa: E402
 from dream.sim.render.rasterizer import Renderer  # noqa: E402
 from dream.sim.world import World  # noqa: E402
 from dream.sim.worlds import make_world  # noqa: E402
@@ -51,7 +51,7 @@ SCATTER = 0.002
 WORLDS = ("wreck/1", "wreck/4", "reef/string", "reef/K")
 SEEDS = (7, 8)
 """Of no suite. How many pixels a voxel needs to be believed (`BELIEVED`) was chosen on wreck/1, seed 7."""
-PROTOCOL = dataclasses.replace(DREAM_V2_DRAFT, name="perf", reach=RANGE / KEPT, lasting=None)
+PROTOCOL = dataclasses.replace(DREAM_V2, name="perf", reach=RANGE / KEPT, lasting=None)
 CAMERA = PROTOCOL.camera
 
 

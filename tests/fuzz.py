@@ -171,12 +171,12 @@ def _map() -> Kind:
 def _volume() -> Kind:
     from dream.geometry import SE3, camera_mount
     from dream.mapping.volume import Volume
-    from dream.protocol import DREAM_V2_DRAFT
+    from dream.protocol import DREAM_V2
 
     def seeds(folder: Path) -> list[bytes]:
-        camera = DREAM_V2_DRAFT.camera
+        camera = DREAM_V2.camera
         depth, labels = (np.full((camera.height, camera.width), value) for value in (3.0, 2))
-        volume = Volume(DREAM_V2_DRAFT)
+        volume = Volume(DREAM_V2)
         volume.integrate(
             depth, labels.astype(int), camera, SE3.level(0.0, 0.0, -5.0, 0.0) @ camera_mount(0.3)
         )

@@ -13,7 +13,7 @@ from dream.geometry import SE2
 from dream.protocol import (
     DREAM_V1,
     DREAM_V1_NOISY,
-    DREAM_V2_DRAFT,
+    DREAM_V2,
     POOL_V1,
     PROTOCOLS,
     LastingErrors,
@@ -81,10 +81,10 @@ def test_dream_v1_noisy_is_dream_v1_with_the_noise_of_the_design() -> None:
 
 
 def test_only_noisy_protocols_declare_noise() -> None:
-    noisy = ["dream-v1-noisy", "dream-v1-nav", "dream-v2-draft", "dream-v2-draft-nav"]
+    noisy = ["dream-v1-noisy", "dream-v1-nav", "dream-v2", "dream-v2-nav"]
     assert [p.name for p in PROTOCOLS.values() if p.noise is not None] == noisy
     assert [p.name for p in PROTOCOLS.values() if p.lasting is not None] == noisy[2:]
-    assert [p.name for p in PROTOCOLS.values() if p.swims] == ["dream-v1-nav", "dream-v2-draft-nav"]
+    assert [p.name for p in PROTOCOLS.values() if p.swims] == ["dream-v1-nav", "dream-v2-nav"]
 
 
 def test_dream_v1_nav_is_the_noisy_one_with_a_vehicle_that_swims() -> None:
@@ -94,20 +94,20 @@ def test_dream_v1_nav_is_the_noisy_one_with_a_vehicle_that_swims() -> None:
 def test_a_planar_protocol_has_one_tilt_and_no_climb() -> None:
     planar = [p for p in PROTOCOLS.values() if p.space is None]
     assert {p.name for p in PROTOCOLS.values()} - {p.name for p in planar} == {
-        "dream-v2-draft",
-        "dream-v2-draft-true",
-        "dream-v2-draft-nav",
+        "dream-v2",
+        "dream-v2-true",
+        "dream-v2-nav",
     }
     for protocol in planar:
         assert (protocol.tilts, protocol.climbs) == ((protocol.camera_pitch,), (0.0,))
 
 
 def test_dream_v2_draft_is_the_noisy_one_in_space_with_errors_that_last() -> None:
-    assert replace(DREAM_V2_DRAFT, name="dream-v1-noisy", cap=200, space=None, lasting=None) == DREAM_V1_NOISY
-    assert DREAM_V2_DRAFT.climbs == (-1.0, -0.5, 0.0, 0.5, 1.0)
-    assert DREAM_V2_DRAFT.camera_pitch in DREAM_V2_DRAFT.tilts
-    assert replace(DREAM_V2_DRAFT, name="dream-v2-draft-true", noise=None, lasting=None) == protocol_named(
-        "dream-v2-draft-true"
+    assert replace(DREAM_V2, name="dream-v1-noisy", cap=200, space=None, lasting=None) == DREAM_V1_NOISY
+    assert DREAM_V2.climbs == (-1.0, -0.5, 0.0, 0.5, 1.0)
+    assert DREAM_V2.camera_pitch in DREAM_V2.tilts
+    assert replace(DREAM_V2, name="dream-v2-true", noise=None, lasting=None) == protocol_named(
+        "dream-v2-true"
     )
 
 
@@ -124,9 +124,9 @@ def test_dream_v2_draft_is_the_noisy_one_in_space_with_errors_that_last() -> Non
     ],
 )
 def test_space_that_cannot_be_is_refused(change: dict[str, Any], message: str) -> None:
-    assert DREAM_V2_DRAFT.space is not None
+    assert DREAM_V2.space is not None
     with pytest.raises(ValueError, match=message):
-        replace(DREAM_V2_DRAFT, space=replace(DREAM_V2_DRAFT.space, **change))
+        replace(DREAM_V2, space=replace(DREAM_V2.space, **change))
 
 
 @pytest.mark.parametrize(
@@ -149,7 +149,7 @@ def test_lasting_errors_that_cannot_be_are_refused(wrong: dict[str, Any]) -> Non
 
 def test_noisy_variants_differ_in_nothing_but_noise() -> None:
     assert noisy_variants(DREAM_V1) == [DREAM_V1_NOISY]
-    assert noisy_variants(protocol_named("dream-v2-draft-true")) == [DREAM_V2_DRAFT]
+    assert noisy_variants(protocol_named("dream-v2-true")) == [DREAM_V2]
     assert noisy_variants(replace(DREAM_V1, reach=7.0)) == []
     assert noisy_variants(POOL_V1) == []
 
@@ -173,13 +173,13 @@ def test_noise_that_makes_no_sense_is_refused(wrong: dict[str, float], complaint
 
 
 def lasting(*labels: tuple[float, float]) -> SurveyProtocol:
-    assert DREAM_V2_DRAFT.lasting is not None
-    return replace(DREAM_V2_DRAFT, lasting=replace(DREAM_V2_DRAFT.lasting, labels=labels))
+    assert DREAM_V2.lasting is not None
+    return replace(DREAM_V2, lasting=replace(DREAM_V2.lasting, labels=labels))
 
 
 def test_a_label_is_trusted_as_far_as_enough_of_them_are_right() -> None:
-    reach = DREAM_V2_DRAFT.reach
-    assert replace(DREAM_V2_DRAFT, lasting=None).trusted == reach
+    reach = DREAM_V2.reach
+    assert replace(DREAM_V2, lasting=None).trusted == reach
     assert lasting().trusted == reach
     # A fifth may be wrong: between two distances in proportion.
     assert lasting((2.0, 0.1), (6.0, 0.3)).trusted == pytest.approx(4.0)

@@ -377,9 +377,9 @@ DREAM_V1_NOISY = replace(
 DREAM_V1_NAV = replace(DREAM_V1_NOISY, name="dream-v1-nav", swims=True)
 """`dream-v1-noisy` with a vehicle that has to swim, and knows where it is only by its sensors."""
 
-DREAM_V2_DRAFT = replace(
+DREAM_V2 = replace(
     DREAM_V1_NOISY,
-    name="dream-v2-draft",
+    name="dream-v2",
     cap=300,
     space=Space(
         climbs=(-1.0, -0.5, 0.5, 1.0),
@@ -401,11 +401,11 @@ DREAM_V2_DRAFT = replace(
 )
 """A draft, whose values may still change: in three dimensions, with errors that last."""
 
-DREAM_V2_TRUE_DRAFT = replace(DREAM_V2_DRAFT, name="dream-v2-draft-true", noise=None, lasting=None)
-"""`dream-v2-draft` with a sensor that does not err."""
+DREAM_V2_TRUE = replace(DREAM_V2, name="dream-v2-true", noise=None, lasting=None)
+"""`dream-v2` with a sensor that does not err."""
 
-DREAM_V2_NAV_DRAFT = replace(DREAM_V2_DRAFT, name="dream-v2-draft-nav", swims=True)
-"""`dream-v2-draft` with a vehicle that has to swim, and knows where it is only by its sensors."""
+DREAM_V2_NAV = replace(DREAM_V2, name="dream-v2-nav", swims=True)
+"""`dream-v2` with a vehicle that has to swim, and knows where it is only by its sensors."""
 
 REACHES = (4.0, 6.0, 8.0, 10.0)
 """Metres: the reaches that `dream-v1` is swept over; 8 is its own."""
@@ -424,9 +424,9 @@ _ALL = (
     POOL_V1,
     DREAM_V1_NOISY,
     DREAM_V1_NAV,
-    DREAM_V2_DRAFT,
-    DREAM_V2_TRUE_DRAFT,
-    DREAM_V2_NAV_DRAFT,
+    DREAM_V2,
+    DREAM_V2_TRUE,
+    DREAM_V2_NAV,
     *_OTHER_REACHES,
 )
 PROTOCOLS = {protocol.name: protocol for protocol in _ALL}

@@ -12,7 +12,7 @@ from dream.geometry import Bounds
 from dream.mapping import OccupancyMap
 from dream.mission import explore
 from dream.planning import IN_SPACE, PLANAR, PLANNERS, AnyPlanner, Asking
-from dream.protocol import DREAM_V1, DREAM_V2_TRUE_DRAFT
+from dream.protocol import DREAM_V1, DREAM_V2_TRUE
 from dream.robots.teleport import Teleport
 from dream.sim.world import World
 from dream.sim.worlds import make_world
@@ -33,8 +33,8 @@ def wreck() -> World:
 
 
 def fly(world: World, planner: AnyPlanner, steps: int) -> list[Step]:
-    occupancy = OccupancyMap(world.bounds, DREAM_V2_TRUE_DRAFT)
-    return list(explore(Teleport(world, DREAM_V2_TRUE_DRAFT), planner, occupancy, max_steps=steps))
+    occupancy = OccupancyMap(world.bounds, DREAM_V2_TRUE)
+    return list(explore(Teleport(world, DREAM_V2_TRUE), planner, occupancy, max_steps=steps))
 
 
 @pytest.fixture(scope="module")
@@ -43,7 +43,7 @@ def flown(planner: AnyPlanner, wreck: World) -> list[Step]:
 
 
 def test_its_moves_are_moves_of_the_protocol_and_known_to_be_free(flown: list[Step]) -> None:
-    protocol = DREAM_V2_TRUE_DRAFT
+    protocol = DREAM_V2_TRUE
     for step in flown[1:]:
         decision = step.decision
         assert min(abs(decision.turn - turn) for turn in protocol.turn_angles) < 1e-9
@@ -70,8 +70,8 @@ def test_the_same_mission_gets_the_same_decisions(
 def test_it_stops_by_itself(planner: AnyPlanner, wreck: World) -> None:
     start = wreck.starts[0]
     small = Bounds(start.x - 2.0, start.y - 2.0, start.x + 2.0, start.y + 2.0)
-    occupancy = OccupancyMap(small, DREAM_V2_TRUE_DRAFT)
-    *_, last = explore(Teleport(wreck, DREAM_V2_TRUE_DRAFT), planner, occupancy, max_steps=60)
+    occupancy = OccupancyMap(small, DREAM_V2_TRUE)
+    *_, last = explore(Teleport(wreck, DREAM_V2_TRUE), planner, occupancy, max_steps=60)
     assert last.ended == "done"
 
 
@@ -92,7 +92,7 @@ def test_its_parameters_are_frozen_and_documented(planner: AnyPlanner) -> None:
 
 @pytest.mark.parametrize("name", PLANNERS)
 def test_a_planner_that_cannot_fly_there_is_refused_before_anything_moves(name: str, wreck: World) -> None:
-    for protocol, can in ((DREAM_V1, PLANAR), (DREAM_V2_TRUE_DRAFT, IN_SPACE)):
+    for protocol, can in ((DREAM_V1, PLANAR), (DREAM_V2_TRUE, IN_SPACE)):
         if name in can:
             continue
         kind = type(PLANNERS[name]).__name__

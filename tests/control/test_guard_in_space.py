@@ -13,7 +13,7 @@ from dream.control import guard, setpoint
 from dream.control.guard import obstruction
 from dream.mapping import OccupancyMap
 from dream.mapping.volume import FREE, MARGIN, SOLID, UNKNOWN
-from dream.protocol import DREAM_V2_DRAFT, DREAM_V2_TRUE_DRAFT, SurveyProtocol
+from dream.protocol import DREAM_V2, DREAM_V2_TRUE, SurveyProtocol
 from dream.robots import Teleport
 from dream.sim.worlds import make_world
 from dream.types import Decision, Observation
@@ -110,7 +110,7 @@ def walked(name: str, seed: int, protocol: SurveyProtocol, moves: int) -> tuple[
     return made, refused, contacts
 
 
-@pytest.mark.parametrize("protocol", [DREAM_V2_DRAFT, DREAM_V2_TRUE_DRAFT], ids=lambda p: p.name)
+@pytest.mark.parametrize("protocol", [DREAM_V2, DREAM_V2_TRUE], ids=lambda p: p.name)
 def test_no_contact_is_let_pass_and_every_refusal_has_a_true_reason(protocol: SurveyProtocol) -> None:
     made, refused, contacts = walked("wreck/4", 7103, protocol, 80)
     assert contacts == 0
@@ -121,13 +121,13 @@ def test_no_contact_is_let_pass_and_every_refusal_has_a_true_reason(protocol: Su
 @pytest.mark.rare
 @pytest.mark.parametrize("name, seed", TRIALS)
 def test_nor_in_500_moves_in_each_of_20_worlds(name: str, seed: int) -> None:
-    made, _, contacts = walked(name, seed, DREAM_V2_DRAFT, 500)
+    made, _, contacts = walked(name, seed, DREAM_V2, 500)
     assert contacts == 0
     assert made > 100
 
 
 def test_what_is_solid_is_named_before_what_is_unknown_and_a_free_way_is_let_pass() -> None:
-    protocol = DREAM_V2_TRUE_DRAFT
+    protocol = DREAM_V2_TRUE
     world = make_world("flat/empty", 1)
     robot, occupancy = Teleport(world, protocol), OccupancyMap(world.bounds, protocol)
     seen = robot.observe()

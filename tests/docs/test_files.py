@@ -232,7 +232,7 @@ def test_every_key_of_a_manifest_is_told(tmp_path: Path) -> None:
 def test_every_key_of_a_bound_is_told() -> None:
     known = Path(inspect.getfile(read_bounds)).parent / "known" / "paper.jsonl"
     assert list(read_bounds(known)[0].as_dict()) == described("Bounds")
-    in_space = SpaceBounds("tower", 1, 0, "dream-v2-draft", "0" * 64, 0, None, None, (), (), 0.0)
+    in_space = SpaceBounds("tower", 1, 0, "dream-v2", "0" * 64, 0, None, None, (), (), 0.0)
     assert list(in_space.as_dict()) == described("Bounds in space")
 
 

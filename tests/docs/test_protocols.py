@@ -15,7 +15,7 @@ from dream.protocol import (
     DREAM_V1,
     DREAM_V1_NAV,
     DREAM_V1_NOISY,
-    DREAM_V2_DRAFT,
+    DREAM_V2,
     ORDERED,
     POOL_V1,
     PROTOCOLS,
@@ -96,7 +96,7 @@ def test_the_noise_is_told() -> None:
 
 
 def test_the_draft_is_told() -> None:
-    draft = DREAM_V2_DRAFT
+    draft = DREAM_V2
     assert draft.space is not None
     space = draft.space
     assert replace(draft, name="dream-v1-noisy", cap=200, space=None, lasting=None) == DREAM_V1_NOISY
@@ -119,7 +119,7 @@ def test_the_draft_is_told() -> None:
 def test_what_goes_by_the_site_is_told() -> None:
     _, rows = tables_under("In three dimensions")[1]
     assert {row[0].strip("`") for row in rows} == set(ORDERED)
-    draft = DREAM_V2_DRAFT
+    draft = DREAM_V2
     assert next(row[1] for row in rows if row[0] == "`cap`").endswith(f"at least {draft.cap}")
     assert f"{draft.trusted:g} m with the errors below" in WORDS
     for area, labels, told in ((45.0**2, 8.0, "300 steps"), (70.0**2, 8.0, "700"), (70.0**2, 3.5, "1,400")):
@@ -139,7 +139,7 @@ def test_the_range_in_every_water_is_told(capsys: pytest.CaptureFixture[str]) ->
 
 
 def test_the_errors_that_last_are_told() -> None:
-    lasting = DREAM_V2_DRAFT.lasting
+    lasting = DREAM_V2.lasting
     assert lasting is not None
     _, rows = TABLES["Errors that last"]
     least, greatest = lasting.blob

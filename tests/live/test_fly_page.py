@@ -13,7 +13,7 @@ pytest.importorskip("playwright")
 from playwright.sync_api import Browser, Page, expect, sync_playwright
 
 from dream.live import cockpit
-from dream.protocol import DREAM_V1, DREAM_V2_TRUE_DRAFT
+from dream.protocol import DREAM_V1, DREAM_V2_TRUE
 from dream.sim.worlds import make_world
 from tests.live.flying import TOKEN, Flying, flown
 from tests.programs import CHROMIUM, do_without
@@ -109,7 +109,7 @@ def test_keys_put_steps_together_and_the_mission_flies_them(page: Page, complain
 
 
 def test_in_space_it_climbs_and_tilts_and_fits_a_phone(page: Page, complaints: list[str]) -> None:
-    with flown(make_world("flat/empty", 1), DREAM_V2_TRUE_DRAFT, 6) as flying:
+    with flown(make_world("flat/empty", 1), DREAM_V2_TRUE, 6) as flying:
         page.set_viewport_size({"width": 390, "height": 844})
         page.goto(address(flying))
         my_turn(page, 3, 6)

@@ -18,7 +18,7 @@ from dream.live import cockpit
 from dream.live.helm import SaidStep, Seat, moves_of
 from dream.mapping import OccupancyMap
 from dream.planning import PLANNERS, Human
-from dream.protocol import DREAM_V1, DREAM_V2_DRAFT, DREAM_V2_TRUE_DRAFT, PROTOCOLS, SurveyProtocol
+from dream.protocol import DREAM_V1, DREAM_V2, DREAM_V2_TRUE, PROTOCOLS, SurveyProtocol
 from dream.sim.world import World
 from dream.sim.worlds import make_world
 from dream.types import Decision, Mission, Observation, Step
@@ -74,7 +74,7 @@ SPACE = [
     ("name", "protocol", "planner"),
     [
         ("reef/fringing", DREAM_V1, PLANNERS["lawnmower"]),
-        pytest.param("flat/empty", DREAM_V2_DRAFT, Scripted(SPACE), marks=pytest.mark.slow),
+        pytest.param("flat/empty", DREAM_V2, Scripted(SPACE), marks=pytest.mark.slow),
     ],
 )
 def test_posted_steps_fly_the_mission_of_the_planner_that_decides_the_same(
@@ -161,7 +161,7 @@ def test_the_word_done_ends_it_where_the_map_agrees_and_costs_a_step_where_not(
 
 @pytest.mark.slow
 def test_the_word_done_ends_a_mission_in_space(start: Callable[..., Flying]) -> None:
-    flying = start(make_world("flat/empty", 1), DREAM_V2_TRUE_DRAFT, 9)
+    flying = start(make_world("flat/empty", 1), DREAM_V2_TRUE, 9)
     browser = flying.browser()
     assert set(browser.awaited(4)["pictures"]) == {"camera", "depth", "labels", "map", "level", "slice"}
     assert browser.post("/decide", {"step": 4, "done": True})[0] == 204

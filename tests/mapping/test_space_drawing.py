@@ -21,7 +21,7 @@ from dream.mapping.space_drawing import (
     draw_slice,
 )
 from dream.mapping.volume import Volume
-from dream.protocol import DREAM_V2_TRUE_DRAFT as PROTOCOL
+from dream.protocol import DREAM_V2_TRUE as PROTOCOL
 from dream.types import Label
 
 CAMERA = Camera.from_fov(160, 120, math.radians(90.0))

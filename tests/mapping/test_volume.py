@@ -34,10 +34,10 @@ from dream.mapping.volume import (
     UNKNOWN,
     Volume,
 )
-from dream.protocol import DREAM_V2_DRAFT, DREAM_V2_TRUE_DRAFT, LastingErrors, SensorNoise
+from dream.protocol import DREAM_V2, DREAM_V2_TRUE, LastingErrors, SensorNoise
 from dream.types import Label
 
-PROTOCOL = DREAM_V2_TRUE_DRAFT
+PROTOCOL = DREAM_V2_TRUE
 INCIDENCE = math.radians(70.0)
 CAMERA = Camera.from_fov(160, 120, math.radians(90.0))
 Array = npt.NDArray[Any]
@@ -244,7 +244,7 @@ def test_a_volume_is_what_a_plain_twin_makes_of_the_same_frames(seed: int) -> No
     rng = np.random.default_rng(seed)
     camera = Camera(42, 31, 20.0, 22.0, 20.5, 16.0)
     protocol = replace(
-        DREAM_V2_DRAFT,
+        DREAM_V2,
         reach=1.8,
         noise=SensorNoise(0.01, 0.0, 0.0, (0.1, 0.2)) if seed % 2 else None,
         lasting=LastingErrors(depth=0.02) if seed > 1 else None,
@@ -460,7 +460,7 @@ def test_one_return_makes_solid_what_was_free_and_looks_clear_it_again() -> None
 
 def test_depths_that_scatter_leave_the_water_before_a_wall_free() -> None:
     rng = np.random.default_rng(8)
-    wall, volume = [plane((5.03, 0.0, 0.0), (-1.0, 0.0, 0.0))], Volume(replace(DREAM_V2_DRAFT, lasting=None))
+    wall, volume = [plane((5.03, 0.0, 0.0), (-1.0, 0.0, 0.0))], Volume(replace(DREAM_V2, lasting=None))
     for k in range(10):
         view = pose(0.1 * k, 0.0, -5.0)
         depth, labels = render(wall, view)

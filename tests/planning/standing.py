@@ -11,7 +11,7 @@ from dream.mapping._kernels import volume as kernels
 from dream.mapping._kernels.volume_frame import side_bit
 from dream.mapping.volume import MISS, MOST, Volume
 from dream.planning.space.ways import KnownWays, ways_in
-from dream.protocol import DREAM_V2_TRUE_DRAFT as PROTOCOL
+from dream.protocol import DREAM_V2_TRUE as PROTOCOL
 from dream.types import Mission, Observation, Target
 
 SEABED = -10.0

@@ -12,7 +12,7 @@ from dream.geometry import SE3, Bounds, camera_mount
 from dream.mapping.volume import Volume
 from dream.planning.space.search import ENOUGH, TRIES, FarSearch
 from dream.planning.space.ways import KnownWays, ways_in
-from dream.protocol import DREAM_V2_TRUE_DRAFT as PROTOCOL
+from dream.protocol import DREAM_V2_TRUE as PROTOCOL
 from dream.types import Label, Mission, Observation
 from tests.planning.standing import observed
 

@@ -15,7 +15,7 @@ from dream.planning.space.remains import SURFACE, LeftToInspect, elements_of
 from dream.planning.space.ways import KnownWays, ways_in
 from dream.planning.viewpoints import Viewpoints
 from dream.protocol import DREAM_V1
-from dream.protocol import DREAM_V2_TRUE_DRAFT as PROTOCOL
+from dream.protocol import DREAM_V2_TRUE as PROTOCOL
 from dream.types import Mission
 from tests.planning.standing import BOUNDS, observed
 from tests.planning.test_lookahead import WIDE, Scene, _scene

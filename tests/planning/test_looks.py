@@ -12,7 +12,7 @@ from dream.geometry import Bounds
 from dream.mapping.volume import FREE, SOLID, Volume
 from dream.planning.space.looks import WITHIN, edges, gains, shown
 from dream.planning.space.ways import KnownWays, ways_in
-from dream.protocol import DREAM_V2_TRUE_DRAFT as PROTOCOL
+from dream.protocol import DREAM_V2_TRUE as PROTOCOL
 
 EYE = (6.0, 0.0, -8.0)
 Array = np.ndarray[Any, Any]

@@ -23,7 +23,7 @@ from dream.planning.space.ground import GroundSearch
 from dream.planning.space.in_water import ENOUGH, InWater
 from dream.planning.space.over_ground import OverGround
 from dream.protocol import DREAM_V1
-from dream.protocol import DREAM_V2_TRUE_DRAFT as PROTOCOL
+from dream.protocol import DREAM_V2_TRUE as PROTOCOL
 from dream.types import Decision, Mission, Observation, Target
 from tests.planning.standing import BOUNDS, SEABED, forget, mission, observed, solid, water
 

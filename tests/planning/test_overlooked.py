@@ -12,12 +12,12 @@ import pytest
 
 from dream.geometry import SE3, camera_mount
 from dream.mapping import OccupancyMap
-from dream.planning.space.in_water import LEFT, MISSED, SEARCHED, TOLD, InWater
+from dream.planning.space.in_water import LEFT, MISSED, SEARCHED, STANDS, TOLD, InWater
 from dream.planning.space.overlooked import MISSED as MISSES
 from dream.planning.space.overlooked import PARTS, Overlooked
-from dream.protocol import DREAM_V2_TRUE_DRAFT as PROTOCOL
+from dream.protocol import DREAM_V2_TRUE as PROTOCOL
 from dream.types import Observation
-from tests.planning.standing import BOUNDS, SEABED, middles_in, mission, observed, vote, water
+from tests.planning.standing import BOUNDS, SEABED, middles_in, mission, observed, solid, vote, water
 
 Array = np.ndarray[Any, Any]
 HEIGHT = 3.5
@@ -109,14 +109,14 @@ def test_what_is_missed_is_told_by_the_looks_at_targets(searched: tuple[InWater,
     over, occupancy = searched
     assert over.missed(occupancy) == 1.0
     one = law(math.radians(50.0))
-    over.overlooked.share[:] = one
+    over.left[:] = one
     assert over.missed(occupancy) == pytest.approx(one)
     assert not over.searched(occupancy)[over.told].any()
     assert over.searched(occupancy)[~over.told].all()
     # Looks at bare ground add nothing.
-    over.overlooked.share[~over.told] = 0.0
+    over.left[~over.told] = 0.0
     assert over.missed(occupancy) == pytest.approx(one)
-    over.overlooked.share[:] = one**2
+    over.left[:] = one**2
     assert over.missed(occupancy) == pytest.approx(one**2)
     assert one**2 < MISSED < one
     assert one**2 < SEARCHED < one
@@ -125,13 +125,15 @@ def test_what_is_missed_is_told_by_the_looks_at_targets(searched: tuple[InWater,
 
 def test_unseen_ground_holds_what_lies_beside_it(searched: tuple[InWater, Any]) -> None:
     over, occupancy = searched
-    over.overlooked.share[:] = 0.0
+    over.left[:] = 0.0
     assert over.missed(occupancy) == 0.0
     hole = np.s_[:6, :6]
     occupancy.seen[hole] = over.told[hole] = False
+    over.left[hole] = 1.0
     assert over.missed(occupancy) == pytest.approx(36 / (over.told.sum() + 36))
     over.told[hole] = occupancy.seen[:] = True
-    occupancy.seen[-6:, -6:] = False
+    over.left[:], bare = 0.0, np.s_[-6:, -6:]
+    occupancy.seen[bare], over.left[bare] = False, 1.0
     assert over.missed(occupancy) == 0.0
     occupancy.seen[:] = False
     assert over.missed(occupancy) == 1.0
@@ -159,7 +161,7 @@ def test_it_ends_when_little_ground_is_unseen_and_little_is_missed(searched: tup
     over, occupancy = searched
     nothing = np.zeros(occupancy.seen.shape, np.bool_)
     assert not over.enough(nothing, occupancy)
-    over.overlooked.share[:] = law(math.radians(40.0)) ** 2
+    over.left[:] = law(math.radians(40.0)) ** 2
     assert over.enough(nothing, occupancy)
     # A hole wide enough to be gone back for, in bare ground: of the whole it is too much.
     side = math.ceil(math.sqrt(LEFT * occupancy.seen.size)) + 1
@@ -179,8 +181,8 @@ def test_the_map_to_a_pilot_tells_what_is_still_to_be_seen_of_each_cell() -> Non
     over = InWater(mission())
     once, twice, bare = ((20, 20), (24, 20), (20, 24))
     over.told[once] = over.told[twice] = True
-    over.overlooked.share[once] = over.overlooked.share[bare] = 2.0 * SEARCHED
-    over.overlooked.share[twice] = 0.5 * SEARCHED
+    over.left[once] = over.left[bare] = 2.0 * SEARCHED
+    over.left[twice] = 0.5 * SEARCHED
     near = over.from_above(occupancy)
     assert occupancy.seen[once]
     assert near.unseen[once] == np.float32(2.0 * SEARCHED)
@@ -188,3 +190,23 @@ def test_the_map_to_a_pilot_tells_what_is_still_to_be_seen_of_each_cell() -> Non
     assert (near.unseen[~occupancy.seen] == 1.0).all()
     assert np.array_equal(near.seen, near.unseen == 0.0)
     assert np.array_equal(occupancy.unseen, ~occupancy.seen)
+
+
+def test_what_stands_up_is_to_be_looked_at_from_four_sides() -> None:
+    volume = water()
+    solid(volume, (SPOT[0] - 0.5, SPOT[1] - 0.5, SEABED), (SPOT[0] + 0.5, SPOT[1] + 0.5, SEABED + 1.5))
+    occupancy = OccupancyMap(BOUNDS, PROTOCOL)
+    occupancy.volume = volume
+    occupancy._look_from_above(0.0, 0.0, SEABED + 2.0)
+    occupancy._changed()
+    rock, bare = occupancy.cell_of(*SPOT), occupancy.cell_of(SPOT[0] + 1.5, SPOT[1])
+    assert occupancy.solid[rock]
+    assert not occupancy.solid[bare]
+    over, found = InWater(mission()), []
+    for number in range(STANDS):
+        over.take(looking_at(SPOT, 0.3 + 0.5 * math.pi * number, math.radians(30.0)), occupancy)
+        found.append(float(over.left[rock]))
+        assert over.left[bare] == pytest.approx(float(over.overlooked.share[bare]))
+    assert found[:-1] == [1.0 - (number + 1) / STANDS for number in range(STANDS - 1)]
+    assert found[-1] == pytest.approx(float(over.overlooked.share[rock]))
+    assert found[-1] < SEARCHED

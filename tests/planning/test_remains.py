@@ -24,7 +24,7 @@ from dream.planning.space.remains import (
     _keys,
     standing_targets,
 )
-from dream.protocol import DREAM_V2_TRUE_DRAFT as PROTOCOL
+from dream.protocol import DREAM_V2_TRUE as PROTOCOL
 from dream.types import Observation
 from tests.planning.standing import (
     SEABED,

@@ -21,7 +21,7 @@ from dream.planning.space.rivals.fuel import Fuel, FuelChooser, layered_path, pa
 from dream.planning.space.rivals.inspection import FloatArray, Scene, rate_of, travel
 from dream.planning.space.rivals.space_nbv import SpaceNextBestView, SpaceNextBestViewChooser
 from dream.planning.space.ways import KnownWays, ways_in
-from dream.protocol import DREAM_V2_TRUE_DRAFT as PROTOCOL
+from dream.protocol import DREAM_V2_TRUE as PROTOCOL
 from dream.types import Decision, Mission, Observation
 
 BOUNDS = Bounds(-5.0, -4.0, 5.0, 4.0)

@@ -21,7 +21,7 @@ from dream.planning.space.in_water import InWater
 from dream.planning.space.remains import LeftOfStructures, LeftToInspect
 from dream.planning.space.search import FarSearch
 from dream.protocol import DREAM_V1
-from dream.protocol import DREAM_V2_TRUE_DRAFT as PROTOCOL
+from dream.protocol import DREAM_V2_TRUE as PROTOCOL
 from dream.sim.world import World
 from dream.sim.worlds import make_world
 from dream.types import LOOK_AROUND, Decision, Mission, Target

@@ -14,7 +14,7 @@ from dream.planning.space.lookahead import HORIZON, SpaceLookAhead, SpacePlan
 from dream.planning.space.looks import shown
 from dream.planning.space.remains import SURFACE, LeftToInspect, elements_of
 from dream.planning.space.ways import KnownWays, ways_in
-from dream.protocol import DREAM_V2_TRUE_DRAFT as PROTOCOL
+from dream.protocol import DREAM_V2_TRUE as PROTOCOL
 from dream.types import Observation
 from tests.planning.standing import BOUNDS, observed
 

@@ -14,7 +14,7 @@ from dream.control.setpoints import setpoint
 from dream.geometry import SE2, SE3, Bounds, camera_mount
 from dream.mapping.volume import SOLID, Volume
 from dream.planning.space.ways import KnownWays, ways_in
-from dream.protocol import DREAM_V2_TRUE_DRAFT as PROTOCOL
+from dream.protocol import DREAM_V2_TRUE as PROTOCOL
 from dream.types import Decision, Label
 
 BOUNDS = Bounds(-2.0, -1.5, 2.0, 1.5)

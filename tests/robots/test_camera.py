@@ -12,7 +12,7 @@ from dream.geometry import SE3, camera_mount
 from dream.protocol import (
     DREAM_V1,
     DREAM_V1_NOISY,
-    DREAM_V2_DRAFT,
+    DREAM_V2,
     LastingErrors,
     SensorNoise,
     SurveyProtocol,
@@ -25,10 +25,10 @@ from dream.sim.water import Water
 from dream.sim.world import World
 from dream.types import Label, Observation
 
-TRUE = protocol_named("dream-v2-draft-true")
+TRUE = protocol_named("dream-v2-true")
 TILT = math.radians(45.0)
-assert DREAM_V2_DRAFT.lasting is not None
-LASTING = DREAM_V2_DRAFT.lasting
+assert DREAM_V2.lasting is not None
+LASTING = DREAM_V2.lasting
 OFF = LastingErrors()
 EACH = {
     "labels": replace(OFF, labels=LASTING.labels),
@@ -65,7 +65,7 @@ def same(a: Observation, b: Observation, *but: str) -> bool:
     return {name for name, alike in arrays.items() if not alike} == set(but)
 
 
-@pytest.mark.parametrize("tilt", DREAM_V2_DRAFT.tilts)
+@pytest.mark.parametrize("tilt", DREAM_V2.tilts)
 def test_it_draws_the_truth_as_its_camera_is_tilted_and_says_what_is_believed(
     string_reef: World, tilt: float
 ) -> None:
@@ -115,7 +115,7 @@ def test_it_errs_alike_after_every_move_and_when_flown_again(string_reef: World)
 
 
 def test_noise_of_the_frame_comes_on_top(string_reef: World) -> None:
-    flickers = replace(DREAM_V2_DRAFT, noise=SensorNoise(0.002, 0.1, 10.0, (0.15, 0.5)))
+    flickers = replace(DREAM_V2, noise=SensorNoise(0.002, 0.1, 10.0, (0.15, 0.5)))
     (seen, camera), (steady, _) = (
         look(string_reef, protocol) for protocol in (flickers, replace(flickers, noise=None))
     )
@@ -132,7 +132,7 @@ def test_in_space_the_water_ends_what_is_told_and_under_planar_protocols_it_does
 ) -> None:
     murky = replace(string_reef, water=Water("murky", (0.5, 0.5, 0.5), (0.3, 0.3, 0.3), (0.1, 0.1, 0.1)))
     planar, _ = look(murky, DREAM_V1, 0.35)
-    seen, _ = look(murky, replace(DREAM_V2_DRAFT, lasting=None), 0.35)
+    seen, _ = look(murky, replace(DREAM_V2, lasting=None), 0.35)
     away = np.linalg.norm(
         planar.camera.back_project(planar.depth, planar.T_world_camera) - planar.T_world_camera.translation,
         axis=-1,

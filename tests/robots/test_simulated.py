@@ -15,7 +15,7 @@ from dream.control.health import Watch
 from dream.errors import MissionAborted
 from dream.estimation import InEkf
 from dream.geometry import SE2, wrap_angle
-from dream.protocol import DREAM_V1, DREAM_V1_NAV, DREAM_V2_NAV_DRAFT, DREAM_V2_TRUE_DRAFT, SurveyProtocol
+from dream.protocol import DREAM_V1, DREAM_V1_NAV, DREAM_V2_NAV, DREAM_V2_TRUE, SurveyProtocol
 from dream.robots import Motion, Simulated, _kernels
 from dream.robots.simulated import BEAT
 from dream.robots.teleport import launch_height
@@ -28,7 +28,7 @@ from dream.types import Arrival, Setpoint
 from tests.robots.slowly import Slow
 
 CALM = Motion(current=0.0, gust=0.0)
-IN_SPACE = replace(DREAM_V2_TRUE_DRAFT, name="swims-in-space", swims=True)
+IN_SPACE = replace(DREAM_V2_TRUE, name="swims-in-space", swims=True)
 """With a sensor and a gauge that have no lasting errors."""
 SQUARE = [(2.0, 0.0), (0.0, 2.0), (-2.0, 0.0), (0.0, -2.0)]
 
@@ -98,9 +98,9 @@ def height(robot: Simulated) -> float:
 
 def test_in_space_it_leads_straight_to_a_height_and_says_how_far_that_was(string_reef: World) -> None:
     """Over ground that is not flat; depth is held by the pressure, which is good to a few centimetres."""
-    robot = Simulated(string_reef, DREAM_V2_NAV_DRAFT, motion=Motion(current=0.2))
+    robot = Simulated(string_reef, DREAM_V2_NAV, motion=Motion(current=0.2))
     here = robot.observe()
-    assert here.z / DREAM_V2_NAV_DRAFT.lattice == pytest.approx(round(2.0 * here.z), abs=0.05)
+    assert here.z / DREAM_V2_NAV.lattice == pytest.approx(round(2.0 * here.z), abs=0.05)
     x, y, z, yaw = here.pose.x, here.pose.y, round(2.0 * here.z) / 2.0, here.pose.yaw
     for ahead, climb in ((0.0, 1.0), (2.0, 1.0), (2.0, -0.5), (0.0, -1.0)):
         begun = robot.truth.translation.copy()
@@ -115,7 +115,7 @@ def test_in_space_it_leads_straight_to_a_height_and_says_how_far_that_was(string
 
 
 def test_in_space_the_way_is_straight(empty_world: World) -> None:
-    robot = Simulated(empty_world, DREAM_V2_NAV_DRAFT, SE2(0.0, 0.0, 0.0), motion=CALM)
+    robot = Simulated(empty_world, DREAM_V2_NAV, SE2(0.0, 0.0, 0.0), motion=CALM)
     start, rows = robot.truth.translation.copy(), np.full((1000, 9), np.nan)
     goal, motion = start + np.array([2.0, 0.0, 1.0]), robot._motion
     how = _kernels.fly(
@@ -159,7 +159,7 @@ def test_in_space_it_touches_what_is_below_and_stops(string_reef: World) -> None
     """A boulder that it passes over at a height, and comes down upon."""
     tall = np.argmax(string_reef.obstacles.scale[:, 2])
     x, y = map(float, string_reef.obstacles.position[tall, :2])
-    robot = Simulated(string_reef, DREAM_V2_NAV_DRAFT, SE2(x - 4.0, y, 0.0), motion=CALM)
+    robot = Simulated(string_reef, DREAM_V2_NAV, SE2(x - 4.0, y, 0.0), motion=CALM)
     low, high = robot.observe().z, robot.observe().z + 3.0
     assert robot.go_to(Setpoint(x, y, 0.0, None, low)).collided
     assert not robot.go_to(Setpoint(x - 4.0, y, 0.0, None, low)).collided
@@ -176,7 +176,7 @@ def test_in_space_one_that_is_lost_holds_its_height_too(empty_world: World) -> N
     """The way up was looked at as a whole: a climb on the spot is another."""
     deaf = replace(DVL_A50, dropout=1.0)
     motion = replace(CALM, dvl=deaf, watch=Watch(blind=1.0, lost=4.0, position_sigma=1.0))
-    robot = Simulated(empty_world, DREAM_V2_NAV_DRAFT, motion=motion)
+    robot = Simulated(empty_world, DREAM_V2_NAV, motion=motion)
     here = robot.observe()
     with pytest.raises(MissionAborted, match="diverged"):
         robot.go_to(Setpoint(here.pose.x + 10.0, here.pose.y, 0.0, None, here.z + 5.0))

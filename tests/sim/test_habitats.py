@@ -13,7 +13,7 @@ import numpy.typing as npt
 import pytest
 
 from dream.geometry import Bounds
-from dream.protocol import DREAM_V2_DRAFT
+from dream.protocol import DREAM_V2
 from dream.sim.files import load_world, save_world, world_hash
 from dream.sim.habitats import HABITATS, beds, mounds, rocks, small
 from dream.sim.habitats.arena import Arena, arena_in, steps_for
@@ -139,25 +139,23 @@ def test_a_world_keeps_what_it_promises_of_its_groups_and_of_its_number(family: 
     least = LEAST.get(family) or min(LEAST["mound"], LEAST["tiny"] if world.group_radius < 1.0 else 3.0)
     assert world.group_radius == least
     assert min(radii(world)) >= least
-    assert world.protocol == DREAM_V2_DRAFT.name
+    assert world.protocol == DREAM_V2.name
 
 
 @every_world
 def test_a_mission_begins_in_free_water(family: str, seed: int) -> None:
     world = made(f"reef/{family}", seed)
-    starts = [
-        (s.x, s.y, DREAM_V2_DRAFT.launch_height(float(world.terrain.height(s.x, s.y)))) for s in world.starts
-    ]
+    starts = [(s.x, s.y, DREAM_V2.launch_height(float(world.terrain.height(s.x, s.y)))) for s in world.starts]
     solids = Solids(world)
     assert len(starts) == 4
-    assert solids.free_at(starts, DREAM_V2_DRAFT).all()
+    assert solids.free_at(starts, DREAM_V2).all()
     # And so is the water about it that is known to be.
     around = [
         (x + 2.4 * math.cos(turn), y + 2.4 * math.sin(turn), z + 0.2)
         for x, y, z in starts
         for turn in np.arange(8) * math.pi / 4.0
     ]
-    assert solids.free_at(around, DREAM_V2_DRAFT).all()
+    assert solids.free_at(around, DREAM_V2).all()
 
 
 @every_world
@@ -324,7 +322,7 @@ def test_walls_cut_reefs_and_leave_passages_to_every_part(seed: int) -> None:
         return
     world = made("reef/walls", seed)
     # So low over the bed that no wall can be passed above.
-    low = dataclasses.replace(DREAM_V2_DRAFT, altitude=0.8)
+    low = dataclasses.replace(DREAM_V2, altitude=0.8)
     solids = Solids(world)
     lattice = solids.lattice(low)
     assert lattice.reachable.mean() > 0.85

@@ -11,8 +11,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from dream.geometry import SE3, Bounds, camera_mount
-from dream.protocol import DREAM_V1, DREAM_V2_DRAFT
-from dream.protocol import DREAM_V2_TRUE_DRAFT as PROTOCOL
+from dream.protocol import DREAM_V1, DREAM_V2
+from dream.protocol import DREAM_V2_TRUE as PROTOCOL
 from dream.sim.inspection import NODE_SHARE, NODES, SHARE, Inspected, Inspection, kept
 from dream.sim.inspection.points import POINTS, UP
 from dream.sim.render import Renderer
@@ -404,7 +404,7 @@ def test_what_is_countable_is_kept_by_world_and_rules(
     for _ in range(2):
         assert kept.countable(world, PROTOCOL, work_out).tolist() == [True, False]
     # Noise has no part in it; reach, another world and a file that is broken do.
-    kept.countable(world, DREAM_V2_DRAFT, work_out)
+    kept.countable(world, DREAM_V2, work_out)
     assert len(calls) == 1
     kept.countable(world, replace(PROTOCOL, reach=7.0), work_out)
     kept.countable(small(world), PROTOCOL, work_out)
@@ -432,7 +432,7 @@ def test_what_its_frames_show_is_kept_by_world_and_rules(
         return {"first": np.arange(3, dtype=np.int32), "who": np.array([7], np.int32)}
 
     world = hull(flat(1.0, -1.0, FLOOR + 0.5, 0.5))
-    for protocol in (PROTOCOL, DREAM_V2_DRAFT):
+    for protocol in (PROTOCOL, DREAM_V2):
         tables = kept.tables("frames", world, protocol, work_out)
         assert {name: table.tolist() for name, table in tables.items()} == {"first": [0, 1, 2], "who": [7]}
     assert len(calls) == 1

@@ -13,14 +13,14 @@ import pytest
 from scipy import ndimage, stats
 
 from dream.geometry import SE2, SE3, Camera
-from dream.protocol import DREAM_V2_DRAFT, LastingErrors
+from dream.protocol import DREAM_V2, LastingErrors
 from dream.sim.lasting import MissionErrors, mission_errors, with_wrong_labels
 from dream.sim.render import Frame
 from dream.types import Label
 from tests.sim.made import made
 
-assert DREAM_V2_DRAFT.lasting is not None
-LASTING = DREAM_V2_DRAFT.lasting
+assert DREAM_V2.lasting is not None
+LASTING = DREAM_V2.lasting
 CAMERA = Camera.from_fov(320, 240, math.radians(90.0))
 COARSE = CAMERA.scaled(0.25)
 """For what is counted over many views."""
@@ -46,7 +46,7 @@ def showing(depth: npt.NDArray[np.floating], label: Label) -> Frame:
 
 def around(metres: float, place: tuple[float, float, float], label: Label, key: int = 1) -> Wrong:
     """What is wrong of a sphere about the camera."""
-    pose = SE3.level(*place, 0.3) @ DREAM_V2_DRAFT.T_base_camera
+    pose = SE3.level(*place, 0.3) @ DREAM_V2.T_base_camera
     frame = showing(metres / straight(COARSE), label)
     return np.asarray(with_wrong_labels(frame, COARSE, pose, LASTING, key, MISSED_AS) != label)
 
@@ -93,7 +93,7 @@ def test_a_share_of_what_stands_upright_is_the_same() -> None:
 
 def test_what_is_taken_for_what() -> None:
     at = np.full(SHAPE, 8.0)
-    pose = SE3.level(0.0, 0.0, 0.0, 0.0) @ DREAM_V2_DRAFT.T_base_camera
+    pose = SE3.level(0.0, 0.0, 0.0, 0.0) @ DREAM_V2.T_base_camera
     for label in (Label.SEABED, Label.OBSTACLE):
         found = with_wrong_labels(showing(at, label), CAMERA, pose, LASTING, 1, MISSED_AS)
         assert set(np.unique(found)) == {label, Label.TARGET}
@@ -210,7 +210,7 @@ def balls(
 def test_the_kernel_finds_what_all_balls_cover(label: Label, densest: float, x: float, fov: float) -> None:
     lasting = replace(LASTING, labels=((2.0, 0.02), (5.0, 0.1), (8.0, densest)))
     key, place = 77, np.array([x, -2.2, -8.0])
-    pose = SE3.level(x, -2.2, -8.0, 0.1 * x) @ DREAM_V2_DRAFT.T_base_camera
+    pose = SE3.level(x, -2.2, -8.0, 0.1 * x) @ DREAM_V2.T_base_camera
     camera = Camera.from_fov(24, 18, math.radians(fov))
     rows, cols = np.indices((camera.height, camera.width))
     # Steps in depth, so that rows end in the middle of cells.

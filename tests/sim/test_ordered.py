@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dream.geometry import Bounds
-from dream.protocol import DREAM_V1, DREAM_V2_DRAFT, DREAM_V2_NAV_DRAFT, DREAM_V2_TRUE_DRAFT, ORDERED
+from dream.protocol import DREAM_V1, DREAM_V2, DREAM_V2_NAV, DREAM_V2_TRUE, ORDERED
 from dream.recording import OrderedRules, RunConfig
 from dream.sim.ordered import ordered_in, protocol_in
 from dream.sim.visual_range import visual_range
@@ -18,7 +18,7 @@ from dream.sim.water import water_of
 from dream.sim.worlds import make_world
 
 FLAT = make_world("flat/empty", 1)
-IN_SPACE = [DREAM_V2_DRAFT, DREAM_V2_TRUE_DRAFT, DREAM_V2_NAV_DRAFT]
+IN_SPACE = [DREAM_V2, DREAM_V2_TRUE, DREAM_V2_NAV]
 
 
 def test_a_planar_protocol_is_the_same_everywhere() -> None:
@@ -57,7 +57,7 @@ def test_reach_cap_and_least_group_go_by_the_site(
 
 def test_murky_water_takes_more_steps_and_clear_water_none() -> None:
     caps = [
-        ordered_in(replace(FLAT, bounds=Bounds(-40, -40, 40, 40), water=water_of(v)), DREAM_V2_DRAFT).cap
+        ordered_in(replace(FLAT, bounds=Bounds(-40, -40, 40, 40), water=water_of(v)), DREAM_V2).cap
         for v in (15.0, 8.0, 5.0, 3.0)
     ]
     assert caps == sorted(caps)
@@ -66,7 +66,7 @@ def test_murky_water_takes_more_steps_and_clear_water_none() -> None:
 
 def test_a_run_tells_by_which_rules_it_was_flown() -> None:
     world = replace(FLAT, water=water_of(3.0))
-    there = ordered_in(world, DREAM_V2_DRAFT)
+    there = ordered_in(world, DREAM_V2)
     told = {name: getattr(there, name) for name in ORDERED}
     config = RunConfig(
         version="0",
@@ -77,9 +77,9 @@ def test_a_run_tells_by_which_rules_it_was_flown() -> None:
         planner="belief",
     )
     assert config.rules == there
-    assert config.model_copy(update={"ordered": None}).rules == DREAM_V2_DRAFT
+    assert config.model_copy(update={"ordered": None}).rules == DREAM_V2
 
 
 def test_a_world_is_flown_by_the_protocol_that_it_is_made_for_unless_told() -> None:
     assert protocol_in(FLAT) == DREAM_V1
-    assert protocol_in(FLAT, DREAM_V2_DRAFT.name) == ordered_in(FLAT, DREAM_V2_DRAFT)
+    assert protocol_in(FLAT, DREAM_V2.name) == ordered_in(FLAT, DREAM_V2)

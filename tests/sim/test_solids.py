@@ -13,7 +13,7 @@ from scipy.sparse.csgraph import connected_components
 
 from dream.geometry import SE2, Bounds
 from dream.protocol import DREAM_V1
-from dream.protocol import DREAM_V2_TRUE_DRAFT as DREAM_V2
+from dream.protocol import DREAM_V2_TRUE as DREAM_V2
 from dream.sim.solids import FreeSpace, Solids
 from dream.sim.world import Mesh, World
 from tests.sim.arenas import EYE, FLOOR, HALF, arena, flat, placed

@@ -10,14 +10,14 @@ import numpy.typing as npt
 import pytest
 
 from dream.geometry import Camera
-from dream.protocol import DREAM_V2_DRAFT
+from dream.protocol import DREAM_V2
 from dream.sim.render import Frame
 from dream.sim.visual_range import UNTOLD, VisualRange, through_water, visual_range
 from dream.sim.water import WATERS, Water
 from dream.types import Label
 
-assert DREAM_V2_DRAFT.space is not None
-SPACE = DREAM_V2_DRAFT.space
+assert DREAM_V2.space is not None
+SPACE = DREAM_V2.space
 CAMERA = Camera.from_fov(320, 240, math.radians(90.0))
 MURKY = Water("murky", (0.5, 0.5, 0.5), (0.3, 0.3, 0.3), (0.1, 0.1, 0.1))
 """Labels as far as 4 m, depth as far as 6 m."""
@@ -35,7 +35,7 @@ def facing(depth: float, label: Label = Label.TARGET) -> Frame:
 
 
 def seen(frame: Frame, water: Water = MURKY) -> Frame:
-    return through_water(frame, CAMERA, water, SPACE, DREAM_V2_DRAFT.max_depth)
+    return through_water(frame, CAMERA, water, SPACE, DREAM_V2.max_depth)
 
 
 def away(depth: float) -> npt.NDArray[np.float64]:
@@ -77,6 +77,6 @@ def test_in_water_that_takes_nothing_the_protocol_ends_both() -> None:
 
 @pytest.mark.parametrize("water", WATERS.values(), ids=lambda water: water.name)
 def test_labels_are_told_as_far_as_the_reach_in_every_water(water: Water) -> None:
-    told = visual_range(water, SPACE, DREAM_V2_DRAFT.max_depth)
-    assert DREAM_V2_DRAFT.reach < told.labels <= told.depth <= DREAM_V2_DRAFT.max_depth
+    told = visual_range(water, SPACE, DREAM_V2.max_depth)
+    assert DREAM_V2.reach < told.labels <= told.depth <= DREAM_V2.max_depth
     assert visual_range(water, replace(SPACE, label_lengths=1.0), 20.0).labels == water.attenuation_length

@@ -311,7 +311,7 @@ def raised_wreck() -> Survey:
     boulder = Cells(np.array([[8.125, 3.125, -9.875]]), np.zeros(1, np.uint8), np.ones(1, np.uint8))
     return replace(
         wreck(),
-        protocol="dream-v2-draft",
+        protocol="dream-v2",
         measures=(
             *(one for one in wreck().measures if one.name != "hull_seen"),
             *told(1.0, 0.4375, 0.0625),

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dream.mapping.volume import MOST, STORED, Volume
-from dream.protocol import DREAM_V2_TRUE_DRAFT, SurveyProtocol
+from dream.protocol import DREAM_V2_TRUE, SurveyProtocol
 
 CELL = 0.25
 GROUND = -10.0
@@ -30,7 +30,7 @@ def box_volume(
     looked_at: Any = None,
     votes: Any = None,
     unknown: Any = None,
-    protocol: SurveyProtocol = DREAM_V2_TRUE_DRAFT,
+    protocol: SurveyProtocol = DREAM_V2_TRUE,
 ) -> Volume:
     """A volume with the box in the middle, all else above the ground free.
 

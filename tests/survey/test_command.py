@@ -497,7 +497,7 @@ def test_a_run_in_space_is_measured_shown_compared_and_told_if_damaged(
     two: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     write_site(Site("Wreck", 54.9, 8.3), two / "wreck.json")
-    flying = "run orbits --world wreck/1 --protocol dream-v2-draft-true --max-steps 30 --site wreck.json"
+    flying = "run orbits --world wreck/1 --protocol dream-v2-true --max-steps 30 --site wreck.json"
     said(f"{flying} --out runs", capsys)
     run = next(path for path in (two / "runs").iterdir() if not path.is_symlink())
     said(f"survey add {run} --save flown.survey.npz", capsys)

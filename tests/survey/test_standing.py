@@ -14,7 +14,7 @@ import pytest
 from dream.geometry import SE3, Bounds
 from dream.mapping import OccupancyMap
 from dream.mapping.volume import Volume
-from dream.protocol import DREAM_V2_DRAFT, DREAM_V2_TRUE_DRAFT
+from dream.protocol import DREAM_V2, DREAM_V2_TRUE
 from dream.survey import About, Measure, Survey, SurveyedStructure, measure_observations, measuring
 from dream.survey.ground import fuse
 from dream.survey.standing import RISES, Looks, measure_structures, sides_of, standing
@@ -125,7 +125,7 @@ def test_sides_turn_with_the_structure(axis: float) -> None:
 
 def seen_around(labels_of: Any = None) -> list[Observation]:
     """The box from eight places 3 m above the ground and 8 m off, looked at a little downwards."""
-    protocol = DREAM_V2_TRUE_DRAFT
+    protocol = DREAM_V2_TRUE
     blank = np.zeros((protocol.camera.height, protocol.camera.width, 3), np.uint8)
     seen = []
     for number in range(8):
@@ -170,7 +170,7 @@ def test_a_box_is_as_high_as_it_is(tmp_path: Path) -> None:
 
 
 def test_sides_are_looked_at_from_as_near_as_the_camera_was(tmp_path: Path) -> None:
-    protocol = DREAM_V2_TRUE_DRAFT
+    protocol = DREAM_V2_TRUE
     looks = Looks(box_volume(tmp_path), 0.0)
     from dream.survey.ground import Frame
 
@@ -196,7 +196,7 @@ def test_where_labels_err_from_everywhere_what_stands_is_told_all_the_same(
         odd[:, ::2][odd[:, ::2] == Label.SEABED] = Label.TARGET
         return odd
 
-    survey = surveyed(box_volume(tmp_path, protocol=DREAM_V2_DRAFT), seen_around(wrong))
+    survey = surveyed(box_volume(tmp_path, protocol=DREAM_V2), seen_around(wrong))
     height = survey.structures[0].measures[0]
     assert height.value == pytest.approx(3.0, abs=0.03)
     told = {measure.name: measure for measure in survey.measures}

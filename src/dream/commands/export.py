@@ -100,7 +100,7 @@ class Export:
         if not (self.run / SPACE).exists():
             raise ValueError(
                 f"{self.run}: expected a run in three dimensions, got no {SPACE} in it. "
-                "It is made under a protocol in which the vehicle climbs, such as dream-v2-draft"
+                "It is made under a protocol in which the vehicle climbs, such as dream-v2"
             )
         if self.to.exists():
             raise ValueError(f"--to: expected a file that does not exist, got {self.to}")

@@ -49,7 +49,7 @@ class Oracle:
     walk that does see them, flown in the simulator. Where both numbers are equal, the tour is optimal. All
     numbers of steps include the look-around. The search begins at bounds that come with the package.
 
-    Under a protocol that moves in space, such as dream-v2-draft, it is the steps to 98.26 % of what counts
+    Under a protocol that moves in space, such as dream-v2, it is the steps to 98.26 % of what counts
     as inspected, the lower bound is a coarse one, and finding what each pose shows takes a minute or two at
     first.
 

@@ -13,7 +13,7 @@ import tyro
 from dream.commands.console import check_picture, open_world, print_json, save_picture
 from dream.commands.progress import stage
 from dream.options import First
-from dream.protocol import DREAM_V2_DRAFT, protocol_named
+from dream.protocol import DREAM_V2, protocol_named
 
 if TYPE_CHECKING:
     from PIL import Image
@@ -61,7 +61,7 @@ class Worlds:
     water: str | None = None
     """Of --from-mesh: pool, clear, coastal, green or turbid. Unless given, clear."""
     waters: bool = False
-    """List the waters instead, and how far `dream-v2-draft` sees in each."""
+    """List the waters instead, and how far `dream-v2` sees in each."""
     json: bool = False
     """Print one JSON object and nothing else."""
 
@@ -106,7 +106,7 @@ class Worlds:
         else:
             print("\n".join(WORLDS))
             print("\nAny seed makes another of each.")
-            print("Reefs from reef/mound on are of dream-v2-draft, all others of dream-v1.")
+            print("Reefs from reef/mound on are of dream-v2, all others of dream-v1.")
             print("reef/string+1y1 is reef/string 1 year on, in the first of its fates; so with all reefs")
             print("of dream-v1.")
             print("wreck/2+wreck/3 are two wrecks side by side; so with all wrecks.")
@@ -165,7 +165,7 @@ def _list_waters(*, json: bool) -> int:
     from dream.sim.visual_range import visual_range
     from dream.sim.water import WATERS
 
-    protocol = DREAM_V2_DRAFT
+    protocol = DREAM_V2
     assert protocol.space is not None
     ranges = {name: visual_range(water, protocol.space, protocol.max_depth) for name, water in WATERS.items()}
     if json:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from dream.names import look_up
-from dream.protocol import DREAM_V2_DRAFT
+from dream.protocol import DREAM_V2
 from dream.sim.files import load_world, world_hash
 from dream.sim.habitats import HABITATS
 from dream.sim.world import World
@@ -37,7 +37,7 @@ SEALED_FAMILIES: tuple[tuple[str, ...], ...] = (
 )
 """What the worlds of a sealed test are drawn from (`dream.evaluation.sealed`): each family is as likely as
 every other, and in it each name. Whatever changes here changes what every key makes, and its commitment."""
-SEALED_PROTOCOL = DREAM_V2_DRAFT.name
+SEALED_PROTOCOL = DREAM_V2.name
 """By which they are flown unless another is asked for: one for all blocks, whichever world is drawn first."""
 
 MOST_SEEDS = 10_000

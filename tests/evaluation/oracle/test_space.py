@@ -32,7 +32,7 @@ from dream.evaluation.oracle.space_limits import PriceLimit
 from dream.evaluation.oracle.space_tours import best_tour
 from dream.geometry import SE2, SE3, Bounds
 from dream.mapping import OccupancyMap
-from dream.protocol import DREAM_V1, DREAM_V2_NAV_DRAFT, DREAM_V2_TRUE_DRAFT, SurveyProtocol
+from dream.protocol import DREAM_V1, DREAM_V2_NAV, DREAM_V2_TRUE, SurveyProtocol
 from dream.robots import Teleport
 from dream.sim.files import save_world
 from dream.sim.inspection import Inspection
@@ -42,7 +42,7 @@ from dream.sim.world import Mesh, World
 from dream.types import LOOK_AROUND, Arrival, Guarded, Step
 from tests.sim.arenas import FLOOR, arena, box, placed
 
-PROTOCOL = DREAM_V2_TRUE_DRAFT
+PROTOCOL = DREAM_V2_TRUE
 SIDES = 4
 LAYERS = 14
 """Steps after which a walk around the tower must be through."""
@@ -311,7 +311,7 @@ def test_a_damaged_line_is_named(
     ("protocol", "start", "complaint"),
     [
         (DREAM_V1, 0, "expected one that moves in space"),
-        (DREAM_V2_NAV_DRAFT, 0, "whose vehicle swims"),
+        (DREAM_V2_NAV, 0, "whose vehicle swims"),
         (PROTOCOL, 2, "start: expected 0 to 1"),
     ],
 )

@@ -7,12 +7,12 @@ from functools import cache
 from dream.evaluation.runner import simulate
 from dream.mapping import OccupancyMap
 from dream.planning import SixSteps
-from dream.protocol import DREAM_V2_TRUE_DRAFT
+from dream.protocol import DREAM_V2_TRUE
 from dream.sim.world import World
 from dream.sim.worlds import make_world
 from dream.types import LOOK_AROUND, Mission, Observation
 
-PROTOCOL = DREAM_V2_TRUE_DRAFT
+PROTOCOL = DREAM_V2_TRUE
 FLOWN = 4
 
 

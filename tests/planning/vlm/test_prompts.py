@@ -12,7 +12,7 @@ from dream.mapping import OccupancyMap
 from dream.planning import Dream
 from dream.planning.vlm import prompts
 from dream.planning.vlm.reply import STEPS
-from dream.protocol import DREAM_V1, DREAM_V2_DRAFT, POOL_V1
+from dream.protocol import DREAM_V1, DREAM_V2, POOL_V1
 from dream.types import Mission, Target
 
 FILES = sorted(
@@ -71,7 +71,7 @@ def test_what_is_said_of_the_robot_is_what_the_protocol_says() -> None:
 
 @pytest.mark.parametrize("name", ["vanilla", "dream"])
 def test_in_space_every_climb_and_tilt_is_named_and_what_counts_is_said(name: str) -> None:
-    text, label = filled(name, Mission(DREAM_V2_DRAFT, ARENA, 200))
+    text, label = filled(name, Mission(DREAM_V2, ARENA, 200))
     assert "$" not in text
     assert label.endswith(", space 1, steering 1")
     assert "one of -1, -0.5, 0, 0.5, 1:" in text
@@ -99,7 +99,7 @@ def test_every_place_that_may_be_named_is_filled_in(name: str, tmp_path: Path) -
     if name == "orders":
         return  # `tests/test_mission_words.py` asks with all of its places.
     asked = name if "mission" in prompts.PLACES[name] else "dream"
-    protocol = DREAM_V2_DRAFT if name in ("space", "steering") else POOL_V1
+    protocol = DREAM_V2 if name in ("space", "steering") else POOL_V1
     text, label = filled(asked, Mission(protocol, ARENA, 200, Target.OYSTERS), str(tmp_path))
     assert "$" not in text
     assert re.search(rf"{name} 1 \(own, [0-9a-f]{{8}}\)", label)

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from dream.planning.vlm.reply import MOST_WORDS, STEPS, dream_reply, ranked_reply, vanilla_reply
-from dream.protocol import DREAM_V1, DREAM_V2_DRAFT, POOL_V1, SurveyProtocol
+from dream.protocol import DREAM_V1, DREAM_V2, POOL_V1, SurveyProtocol
 
 SIX = dict.fromkeys(STEPS, "Because.")
 AHEAD = {"direction": "forward", "turn_deg": 0, "step_m": 2, "done": False}
@@ -37,7 +37,7 @@ def test_every_action_of_the_protocol_can_be_said_and_nothing_else(protocol: Sur
 
 
 def test_in_space_an_action_has_every_climb_and_tilt_of_the_protocol_and_no_other() -> None:
-    Action = vanilla_reply(DREAM_V2_DRAFT)
+    Action = vanilla_reply(DREAM_V2)
     schema = Action.model_json_schema()["properties"]
     assert schema["climb_m"]["enum"] == [-1, -0.5, 0, 0.5, 1]
     assert schema["tilt_deg"]["enum"] == [-25, 20, 45]
@@ -46,7 +46,7 @@ def test_in_space_an_action_has_every_climb_and_tilt_of_the_protocol_and_no_othe
             said = Action.model_validate({**AHEAD, "climb_m": climb, "tilt_deg": tilt}).decision
             assert said.climb == climb
             assert said.tilt is not None
-            assert min(abs(said.tilt - allowed) for allowed in DREAM_V2_DRAFT.tilts) < 1e-6
+            assert min(abs(said.tilt - allowed) for allowed in DREAM_V2.tilts) < 1e-6
     for wrong in ({"climb_m": 0.7, "tilt_deg": 20}, {"climb_m": 0, "tilt_deg": 30}, {"climb_m": 0}):
         with pytest.raises(ValidationError):
             Action.model_validate({**AHEAD, **wrong})

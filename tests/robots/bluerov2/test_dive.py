@@ -675,9 +675,9 @@ def test_the_line_that_dives_again_says_what_was_told() -> None:
         ("--area -1 -1 1 1 --min-altitude -0.1", "--min-altitude: expected 0 or more, got -0.1"),
         ("--area -1 -1 1 1 --min-altitude 0.5", "--min-altitude: expected less than the 0.5 m of the A50"),
         ("--stand-in --area -1 -1 1 1", "--area: expected none with --stand-in"),
-        ("--area -1 -1 1 1 --protocol dream-v2-draft --tilt 30", "--tilt: expected 20, where the camera"),
-        ("--area -1 -1 1 1 --protocol dream-v2-draft", "--depth: expected a network that estimates depth"),
-        ("--area -1 -1 1 1 --protocol dream-v2-draft --min-altitude 0.75", "less than the 0.7 m of the A50"),
+        ("--area -1 -1 1 1 --protocol dream-v2 --tilt 30", "--tilt: expected 20, where the camera"),
+        ("--area -1 -1 1 1 --protocol dream-v2", "--depth: expected a network that estimates depth"),
+        ("--area -1 -1 1 1 --protocol dream-v2 --min-altitude 0.75", "less than the 0.7 m of the A50"),
     ],
 )
 def test_a_dive_that_cannot_be_is_refused_at_the_desk(

@@ -14,7 +14,7 @@ from dream.commands.dive.predive import _floor, _in_time, _looked, _pointed
 from dream.geometry import SE2, SE3, Camera
 from dream.perception import FlatFloor, LearnedDepth, Perception, Shells
 from dream.perception.flat_floor import floor_depth, rays
-from dream.protocol import DREAM_V2_DRAFT, POOL_V1, SurveyProtocol
+from dream.protocol import DREAM_V2, POOL_V1, SurveyProtocol
 from dream.robots.bluerov2.check import Finding
 from dream.robots.bluerov2.lens import Calibrated, Lens
 from dream.robots.bluerov2.navigation import Fix, NotReady
@@ -207,9 +207,9 @@ def test_a_floor_is_well_where_the_dive_is_neither_at_the_surface_nor_too_deep(
     ("protocol", "most", "ok", "looked"),
     [
         (POOL_V1, 45.0, True, [20.0]),
-        (DREAM_V2_DRAFT, 45.0, True, [45.0, -25.0, 20.0]),
+        (DREAM_V2, 45.0, True, [45.0, -25.0, 20.0]),
         # A camera that is fixed.
-        (DREAM_V2_DRAFT, 20.0, False, [45.0]),
+        (DREAM_V2, 20.0, False, [45.0]),
     ],
 )
 def test_in_space_a_mount_has_to_look_everywhere_and_ends_as_at_the_launch(

@@ -11,7 +11,7 @@ import pytest
 from dream.errors import MissionAborted
 from dream.geometry import SE2, SE3, Camera
 from dream.perception import FlatFloor, Perception, Shells
-from dream.protocol import DREAM_V2_TRUE_DRAFT, POOL_V1
+from dream.protocol import DREAM_V2_TRUE, POOL_V1
 from dream.robots.bluerov2 import rov
 from dream.robots.bluerov2.bridge import FINE, Stance, Standing
 from dream.robots.bluerov2.devices import LiveEye
@@ -321,7 +321,7 @@ def test_without_a_mount_that_tilts_and_tells_there_is_no_tilting(
 
 def test_a_move_in_space_is_straight_and_ends_there(tmp_path: Path) -> None:
     """Of the vehicle in the water, by the bytes of MAVLink and the lines of the A50."""
-    world, protocol = make_world("flat/empty", 1), DREAM_V2_TRUE_DRAFT
+    world, protocol = make_world("flat/empty", 1), DREAM_V2_TRUE
     with Rig(tmp_path, world, protocol, pictures=2.0, width=80) as rig:
         rig.ready()
         bridge = rig.begin()

@@ -14,7 +14,7 @@ from dream.planning.space.overlooked import Overlooked
 from dream.planning.space.ways import ways_in
 from dream.planning.travel import careful_standoff, careful_travel
 from dream.protocol import SurveyProtocol
-from dream.types import BoolArray, Decision, Mission, Observation, Reasoning
+from dream.types import BoolArray, Decision, Float32Array, Mission, Observation, Reasoning
 
 if TYPE_CHECKING:
     from dream.mapping import OccupancyMap
@@ -31,6 +31,8 @@ AROUND = 1.0
 TOLD = 0.05
 """Share of its votes from which on there are: where individuals stand apart most of each cell is seabed. In
 murky water four of five individuals lie on ground that is told so, and an eighth of bare ground is."""
+STANDS = 4
+"""Eighths of the compass out of which cells of what stands up are to be looked at."""
 SEARCHED = 0.03
 """Share of its individuals that may have been overlooked in a cell for it to count as searched."""
 MISSED = 0.015
@@ -60,10 +62,13 @@ class InWater:
     """The looks at the ground."""
     told: BoolArray = field(init=False)
     """(rows, cols) where labels tell that there are targets."""
+    left: Float32Array = field(init=False)
+    """(rows, cols) share of the individuals in each cell that is expected not to be inspected."""
 
     def __post_init__(self) -> None:
         self.overlooked = Overlooked(self.mission)
-        self.told = np.zeros(self.overlooked.share.shape, np.bool_)
+        self.left = self.overlooked.share
+        self.told = np.zeros(self.left.shape, np.bool_)
         whole = self.mission.protocol
         assert whole.space is not None
         self.height = max(HEIGHT * whole.trusted, whole.space.lowest + whole.lattice)
@@ -95,11 +100,13 @@ class InWater:
             for part in (np.where(occupancy.seen, share.reshape(occupancy.shape), 0.0), occupancy.seen)
         )
         self.told = np.asarray(occupancy.seen & (target >= TOLD * np.maximum(seen, 1e-6)))
+        # What stands up shows no side that nobody looked at.
+        sides = np.where(occupancy.solid, np.maximum(1.0 - self.overlooked.parts / STANDS, 0.0), 0.0)
+        self.left = np.where(occupancy.seen, np.maximum(self.overlooked.share, sides), 1.0).astype(np.float32)
 
     def from_above(self, occupancy: OccupancyMap) -> OccupancyMap:
         """The map to a pilot of the plane, to be read until the map changes."""
-        unseen = np.where(occupancy.seen, self.overlooked.share, np.float32(1.0))
-        unseen[self.searched(occupancy)] = 0.0
+        unseen = np.where(self.searched(occupancy), np.float32(0.0), self.left)
         return occupancy.counting(unseen, self.protocol.reach, self.passed_over(occupancy))
 
     def enough(self, hiding: BoolArray, occupancy: OccupancyMap) -> bool:
@@ -126,8 +133,7 @@ class InWater:
             return 1.0
         nearest = distance_transform_edt(~occupancy.seen, return_distances=False, return_indices=True)
         counted = occupancy.to_see & self.told[tuple(nearest)]
-        left = np.where(occupancy.seen, self.overlooked.share, 1.0)[counted]
-        return float(left.mean()) if len(left) else 0.0
+        return float(self.left[counted].mean()) if counted.any() else 0.0
 
     def passed_over(self, occupancy: OccupancyMap) -> BoolArray:
         """(rows, cols) what stands up, but so low that the vehicle passes over it at the search's height."""
@@ -144,8 +150,7 @@ class InWater:
 
     def searched(self, occupancy: OccupancyMap) -> BoolArray:
         """(rows, cols) what was seen of the ground, and where targets are told, was hardly overlooked."""
-        hardly = self.overlooked.share <= SEARCHED
-        return np.asarray(occupancy.seen & (hardly | ~self.told))
+        return np.asarray(occupancy.seen & ((self.left <= SEARCHED) | ~self.told))
 
     def into_the_open(self, observation: Observation, occupancy: OccupancyMap) -> Decision | None:
         """The way from above or beside what stands up to where a vehicle at its altitude can move on.

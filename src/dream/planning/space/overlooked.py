@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from dream.types import Float32Array, Mission, Observation
+from dream.types import Float32Array, IntArray, Mission, Observation
 
 PARTS = 8
 """Of the compass. Looks out of different ones miss independently of each other."""
@@ -31,6 +31,8 @@ class Overlooked:
     mission: Mission
     share: Float32Array = field(init=False)
     """(rows, cols) expected share of the individuals in each cell that no look inspected."""
+    parts: IntArray = field(init=False)
+    """(rows, cols) out of how many parts of the compass each cell was looked at."""
     _steepest: Float32Array = field(init=False)
     """(parts, rows, cols) cosines; 0 where there was no look."""
 
@@ -38,7 +40,7 @@ class Overlooked:
         cell, bounds = self.mission.protocol.cell, self.mission.bounds
         shape = round(bounds.depth / cell), round(bounds.width / cell)
         self._steepest = np.zeros((PARTS, *shape), np.float32)
-        self.share = np.ones(shape, np.float32)
+        self.share, self.parts = np.ones(shape, np.float32), np.zeros(shape, np.int64)
 
     def take(self, observation: Observation) -> None:
         """Add a frame."""
@@ -58,4 +60,4 @@ class Overlooked:
             protocol.cell,
         )
         left = np.where(self._steepest > 0.0, MISSED * np.square(1.0 - self._steepest), np.float32(1.0))
-        self.share = left.prod(axis=0)
+        self.share, self.parts = left.prod(axis=0), np.count_nonzero(self._steepest, axis=0)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dream.geometry import SE2, Bounds
-from dream.protocol import DREAM_V2_DRAFT
+from dream.protocol import DREAM_V2
 from dream.sim.sampling import power, quantised
 from dream.sim.starts import starts_in
 from dream.sim.water import Water, water_of
@@ -44,8 +44,8 @@ class Arena:
 
 def steps_for(bounds: Bounds, water: Water) -> float:
     """Steps to survey an arena: in proportion to its area, and to how short labels are told."""
-    assert DREAM_V2_DRAFT.space is not None
-    told = DREAM_V2_DRAFT.space.label_lengths * water.attenuation_length
+    assert DREAM_V2.space is not None
+    told = DREAM_V2.space.label_lengths * water.attenuation_length
     return USUAL_STEPS * bounds.area / USUAL_AREA * USUAL_RANGE / min(USUAL_RANGE, told)
 
 

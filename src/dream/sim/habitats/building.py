@@ -9,7 +9,7 @@ from typing import Protocol
 
 import numpy as np
 
-from dream.protocol import DREAM_V2_DRAFT
+from dream.protocol import DREAM_V2
 from dream.sim import boulders
 from dream.sim.habitats.arena import USUAL_AREA, Arena
 from dream.sim.habitats.growth import MOST, Bottom, Habitat, clumps, joined
@@ -97,7 +97,7 @@ def world_of(
     return World(
         name="reef",
         seed=0,
-        protocol=DREAM_V2_DRAFT.name,
+        protocol=DREAM_V2.name,
         bounds=arena.bounds,
         starts=arena.starts,
         terrain=seabed,
