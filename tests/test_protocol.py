@@ -102,7 +102,7 @@ def test_a_planar_protocol_has_one_tilt_and_no_climb() -> None:
         assert (protocol.tilts, protocol.climbs) == ((protocol.camera_pitch,), (0.0,))
 
 
-def test_dream_v2_draft_is_the_noisy_one_in_space_with_errors_that_last() -> None:
+def test_dream_v2_is_the_noisy_one_in_space_with_errors_that_last() -> None:
     assert replace(DREAM_V2, name="dream-v1-noisy", cap=200, space=None, lasting=None) == DREAM_V1_NOISY
     assert DREAM_V2.climbs == (-1.0, -0.5, 0.0, 0.5, 1.0)
     assert DREAM_V2.camera_pitch in DREAM_V2.tilts

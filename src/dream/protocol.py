@@ -399,7 +399,7 @@ DREAM_V2 = replace(
         tilt=math.radians(1.5),
     ),
 )
-"""A draft, whose values may still change: in three dimensions, with errors that last."""
+"""In three dimensions, in water that ends what is seen, with errors that last; reasons: docs/protocols.md."""
 
 DREAM_V2_TRUE = replace(DREAM_V2, name="dream-v2-true", noise=None, lasting=None)
 """`dream-v2` with a sensor that does not err."""

@@ -95,11 +95,10 @@ def test_the_noise_is_told() -> None:
     assert {row[0].strip("`") for row in rows} == {one.name for one in fields(SensorNoise)}
 
 
-def test_the_draft_is_told() -> None:
-    draft = DREAM_V2
-    assert draft.space is not None
-    space = draft.space
-    assert replace(draft, name="dream-v1-noisy", cap=200, space=None, lasting=None) == DREAM_V1_NOISY
+def test_what_moves_in_space_is_told_with_reasons() -> None:
+    space = DREAM_V2.space
+    assert space is not None
+    assert replace(DREAM_V2, name="dream-v1-noisy", cap=200, space=None, lasting=None) == DREAM_V1_NOISY
     _, rows = tables_under("In three dimensions")[0]
     assert {row[0].strip("`"): row[2] for row in rows} == {
         "climbs": ", ".join(f"±{climb:g}" for climb in space.climbs if climb > 0.0) + " m",
@@ -112,18 +111,18 @@ def test_the_draft_is_told() -> None:
         "depth_lengths": f"{space.depth_lengths:g}",
     }
     assert {row[0].strip("`") for row in rows} == {one.name for one in fields(Space)}
+    assert all(row[3] for row in rows)
     assert set(space.climbs) == {-climb for climb in space.climbs}
-    assert f"the reach of {draft.reach:g} m is straight through the water" in WORDS
+    assert f"the reach of {DREAM_V2.reach:g} m is straight through the water" in WORDS
 
 
 def test_what_goes_by_the_site_is_told() -> None:
     _, rows = tables_under("In three dimensions")[1]
     assert {row[0].strip("`") for row in rows} == set(ORDERED)
-    draft = DREAM_V2
-    assert next(row[1] for row in rows if row[0] == "`cap`").endswith(f"at least {draft.cap}")
-    assert f"{draft.trusted:g} m with the errors below" in WORDS
+    assert next(row[1] for row in rows if row[0] == "`cap`").endswith(f"at least {DREAM_V2.cap}")
+    assert f"{DREAM_V2.trusted:g} m with the errors below" in WORDS
     for area, labels, told in ((45.0**2, 8.0, "300 steps"), (70.0**2, 8.0, "700"), (70.0**2, 3.5, "1,400")):
-        assert f"{draft.ordered(area, labels, 1.5).cap:,}" == told.split()[0]
+        assert f"{DREAM_V2.ordered(area, labels, 1.5).cap:,}" == told.split()[0]
         assert told in WORDS
 
 

@@ -125,9 +125,7 @@ def success_cell(comparison: Comparison, planner: str, cases: Sequence[Case]) ->
 
 def time_cell(comparison: Comparison, planner: str, cases: Sequence[Case], mark: str) -> str:
     """Mean steps to a mark, and how many missions reached it."""
-    found = comparison.estimate(
-        planner, cases, comparison.time(mark), limits=(0.0, float(comparison.horizon))
-    )
+    found = comparison.estimate(planner, cases, comparison.time(mark), limits=comparison.time_limits)
     reached, flown = comparison.reached(planner, cases, mark)
     return f"{with_interval(found)} · {reached}/{flown}" if flown else NONE
 

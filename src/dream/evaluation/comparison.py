@@ -24,7 +24,7 @@ from dream.evaluation.statistics import (
     ratio,
     share_interval,
 )
-from dream.evaluation.suites import REEF_FAMILIES, Case, family_of
+from dream.evaluation.suites import REEF_FAMILIES, SEALED_STEPS, Case, family_of
 from dream.planning import PLANNERS
 from dream.planning.vlm import stands_in
 from dream.sim.habitats import HABITATS
@@ -140,6 +140,11 @@ class Comparison:
     def unbroken(self, planners: Sequence[str], cases: Sequence[Case]) -> tuple[Case, ...]:
         """The cases before the first that one of these planners has not flown."""
         return tuple(takewhile(lambda case: all((case, name) in self.rows for name in planners), cases))
+
+    @property
+    def time_limits(self) -> tuple[float, float]:
+        """What steps to a mark can be at all: of a sealed test fixed before any of its worlds is drawn."""
+        return 0.0, float(max(self.horizon, SEALED_STEPS) if self.sealed else self.horizon)
 
     def success(self, planner: str, cases: Sequence[Case]) -> Interval:
         """The share of the worlds that succeeded, with its interval: Wilson's, or `anytime_interval`."""

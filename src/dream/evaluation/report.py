@@ -483,10 +483,8 @@ def _listed(names: Sequence[str]) -> str:
 
 
 def _time(comparison: Comparison, planner: str) -> str:
-    limits = (0.0, float(comparison.horizon))
-    return with_interval(
-        comparison.estimate(planner, comparison.cases, comparison.time("t98"), limits=limits)
-    )
+    t98, limits = comparison.time("t98"), comparison.time_limits
+    return with_interval(comparison.estimate(planner, comparison.cases, t98, limits=limits))
 
 
 def _coverage(comparison: Comparison, planner: str) -> str:

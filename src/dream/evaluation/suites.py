@@ -39,6 +39,8 @@ SEALED_FAMILIES: tuple[tuple[str, ...], ...] = (
 every other, and in it each name. Whatever changes here changes what every key makes, and its commitment."""
 SEALED_PROTOCOL = DREAM_V2.name
 """By which they are flown unless another is asked for: one for all blocks, whichever world is drawn first."""
+SEALED_STEPS = 1200
+"""No mission of a sealed test has more: arenas for which a search needs more are not drawn."""
 
 MOST_SEEDS = 10_000
 MOST_CASES = 10_000

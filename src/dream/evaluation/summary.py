@@ -82,7 +82,7 @@ def _print_intervals(comparison: Comparison, console: Console) -> None:
     from rich.table import Table as RichTable
     from rich.text import Text
 
-    cases, cap = comparison.cases, (0.0, float(comparison.horizon))
+    cases, cap = comparison.cases, comparison.time_limits
     table = RichTable(title="all worlds that may be drawn", title_justify="left")
     for heading in ("planner", "worlds", "to 98.26 %", "seen, %", "success, %"):
         table.add_column(heading, justify="left" if heading == "planner" else "right")

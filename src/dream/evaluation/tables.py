@@ -64,7 +64,7 @@ def headline(comparison: Comparison, cases: Sequence[Case], title: str = "At a g
     rows = []
     for planner in comparison.ranked:
         t98 = comparison.time("t98")
-        cap = (0.0, float(comparison.horizon))
+        cap = comparison.time_limits
         rows.append(
             (
                 planner,
@@ -257,7 +257,7 @@ def times(comparison: Comparison, title: str, cases: Sequence[Case]) -> Table:
                         cases,
                         comparison.time("t98"),
                         statistic=interquartile_mean,
-                        limits=(0.0, float(comparison.horizon)),
+                        limits=comparison.time_limits,
                     )
                 ),
             )
