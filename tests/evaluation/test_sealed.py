@@ -395,9 +395,10 @@ def test_its_numbers_have_intervals_that_hold_at_every_look(tmp_path: Path) -> N
     cases = comparison.cases
     times = [float(row.t98 or 0) for _, row in comparison.flown("belief", cases)]
     # Whatever caps the worlds so far had: the next may have more.
-    assert comparison.horizon < SEALED_STEPS == MOST_STEPS
+    assert float(SEALED_STEPS) == MOST_STEPS
+    assert comparison.horizon < SEALED_STEPS
     limits = comparison.time_limits
-    assert limits == (0.0, SEALED_STEPS)
+    assert limits == (0.0, float(SEALED_STEPS))
     found = comparison.estimate("belief", cases, comparison.time("t98"), limits=limits)
     assert found == anytime_interval(np.array(times), limits)
     assert comparison.success("belief", cases) == anytime_interval(np.ones(20), (0.0, 1.0))

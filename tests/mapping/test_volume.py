@@ -579,7 +579,7 @@ def slow_column(volume: Volume, x: float, y: float, levels: range) -> tuple[int,
     up = solid[:-1] & (states[1:] == FREE)
     return (
         levels.start + min(bare, default=-1),
-        levels.start + max(np.flatnonzero(solid), default=-1),
+        levels.start + max(np.flatnonzero(solid).tolist(), default=-1),
         votes[solid].sum(axis=0).tolist(),
         bool(up.any() and (seen | below)[:-1][up].all()),
     )
@@ -596,7 +596,7 @@ def test_columns_are_those_that_are_looked_up_voxel_by_voxel(corner: Volume, shi
     levels = range(low * SIDE, past * SIDE)
     for i, j in np.ndindex(lowest.shape):
         found = lowest[i, j], highest[i, j], votes[i, j].tolist(), explored[i, j]
-        assert found == slow_column(corner, x[j], y[i], levels), (i, j)
+        assert found == slow_column(corner, float(x[j]), float(y[i]), levels), (i, j)
     assert explored.any()
     assert (votes[..., 1] > 0)[~explored].any()
     assert (lowest < highest).any()
