@@ -1,6 +1,7 @@
 """Imports only point down."""
 
 import ast
+from functools import cache
 from pathlib import Path
 
 import dream
@@ -40,19 +41,38 @@ RANK = {name: rank for rank, names in enumerate(LAYERS) for name in names}
 APART = LAYERS[5]
 
 
-def _imports(path: Path) -> set[str]:
-    """Parts of `dream` that a file imports when it runs; what only a type checker reads does not count."""
+@cache
+def _import_nodes(path: Path) -> list[tuple[ast.Import | ast.ImportFrom, bool]]:
+    """Each import of a file, which is parsed once for all tests; and whether it runs.
+
+    What only a type checker reads does not.
+    """
     tree = ast.parse(path.read_text())
-    for node in ast.walk(tree):
-        if isinstance(node, ast.If) and isinstance(node.test, ast.Name) and node.test.id == "TYPE_CHECKING":
-            node.body = [ast.Pass()]
+    typed = {
+        id(inner)
+        for node in ast.walk(tree)
+        if isinstance(node, ast.If) and isinstance(node.test, ast.Name) and node.test.id == "TYPE_CHECKING"
+        for statement in node.body
+        for inner in ast.walk(statement)
+    }
+    return [
+        (node, id(node) not in typed)
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Import | ast.ImportFrom)
+    ]
+
+
+def _imports(path: Path) -> set[str]:
+    """Parts of `dream` that a file imports when it runs."""
     found = set()
-    for node in ast.walk(tree):
-        if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == "dream":
+    for node, runs in _import_nodes(path):
+        if not runs:
+            continue
+        if isinstance(node, ast.Import):
+            found |= {a.name.split(".")[1] for a in node.names if a.name.startswith("dream.")}
+        elif (node.module or "").split(".")[0] == "dream":
             parts = (node.module or "").split(".")
             found |= {parts[1]} if len(parts) > 1 else {alias.name for alias in node.names} & set(RANK)
-        elif isinstance(node, ast.Import):
-            found |= {a.name.split(".")[1] for a in node.names if a.name.startswith("dream.")}
     return found
 
 
@@ -105,6 +125,7 @@ CIRCLES = [
 shrink: whoever mends one takes it out."""
 
 
+@cache
 def _arrows() -> dict[str, set[str]]:
     """For each module of the package those that it names in an import; a package's `__init__` is one, too."""
     paths = {}
@@ -113,12 +134,12 @@ def _arrows() -> dict[str, set[str]]:
         paths[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = path
     arrows: dict[str, set[str]] = {name: set() for name in paths}
     for name, path in paths.items():
-        for node in ast.walk(ast.parse(path.read_text())):
-            if isinstance(node, ast.ImportFrom) and node.module:
+        for node, _ in _import_nodes(path):
+            if isinstance(node, ast.Import):
+                arrows[name] |= {alias.name for alias in node.names}
+            elif node.module:
                 wanted = {f"{node.module}.{alias.name}" for alias in node.names}
                 arrows[name] |= {module if module in paths else node.module for module in wanted}
-            elif isinstance(node, ast.Import):
-                arrows[name] |= {alias.name for alias in node.names}
         arrows[name] &= set(paths) - {name}
     return arrows
 

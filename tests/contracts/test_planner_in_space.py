@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import FrozenInstanceError, fields, replace
+from itertools import islice
 from typing import Any
 
 import pytest
@@ -16,9 +18,11 @@ from dream.protocol import DREAM_V1, DREAM_V2_TRUE
 from dream.robots.teleport import Teleport
 from dream.sim.world import World
 from dream.sim.worlds import make_world
-from dream.types import Step
+from dream.types import LOOK_AROUND, Step
 
 STEPS = 12
+AGAIN = LOOK_AROUND + 5
+"""Steps that are flown twice: four decisions, and what leads to each of them."""
 
 
 @pytest.fixture(scope="module", params=IN_SPACE)
@@ -32,14 +36,14 @@ def wreck() -> World:
     return make_world("wreck/5", 101)
 
 
-def fly(world: World, planner: AnyPlanner, steps: int) -> list[Step]:
+def fly(world: World, planner: AnyPlanner, steps: int) -> Iterator[Step]:
     occupancy = OccupancyMap(world.bounds, DREAM_V2_TRUE)
-    return list(explore(Teleport(world, DREAM_V2_TRUE), planner, occupancy, max_steps=steps))
+    return explore(Teleport(world, DREAM_V2_TRUE), planner, occupancy, max_steps=steps)
 
 
 @pytest.fixture(scope="module")
 def flown(planner: AnyPlanner, wreck: World) -> list[Step]:
-    return fly(wreck, planner, STEPS)
+    return list(fly(wreck, planner, STEPS))
 
 
 def test_its_moves_are_moves_of_the_protocol_and_known_to_be_free(flown: list[Step]) -> None:
@@ -63,8 +67,8 @@ def test_it_says_why_and_gets_somewhere_without_contact(flown: list[Step]) -> No
 def test_the_same_mission_gets_the_same_decisions(
     planner: AnyPlanner, flown: list[Step], wreck: World
 ) -> None:
-    again = fly(wreck, planner, STEPS)
-    assert [step.decision for step in again] == [step.decision for step in flown]
+    again = [step.decision for step in islice(fly(wreck, planner, STEPS), AGAIN)]
+    assert again == [step.decision for step in flown[:AGAIN]]
 
 
 def test_it_stops_by_itself(planner: AnyPlanner, wreck: World) -> None:

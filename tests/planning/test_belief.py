@@ -179,6 +179,7 @@ def test_where_there_is_nothing_all_ground_is_seen_before_it_ends() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.rare
 def test_an_empty_world_of_full_size_is_seen_to_the_last_cell_within_the_cap() -> None:
     world = make_world("flat/empty", 1)
     assert (world.bounds.width, world.bounds.depth) == (40.0, 40.0)

@@ -275,7 +275,7 @@ def test_a_view_whose_card_took_its_memory_back_is_drawn_again(browsers: Any, ru
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("scheme", ["light", pytest.param("dark", marks=pytest.mark.rare)])
 def test_it_fits_a_phone_and_two_fingers_zoom(scheme: str, browsers: Any, run: Path) -> None:
     phone: dict[str, Any] = {
         "viewport": {"width": 360, "height": 740},
