@@ -67,8 +67,8 @@ def test_snapping_is_idempotent_and_near(x: float, y: float, yaw: float) -> None
 
 
 def test_an_unknown_protocol_is_answered_with_the_nearest() -> None:
-    with pytest.raises(ValueError, match=r'no protocol "dream-v2". Did you mean "dream-v1"\?'):
-        protocol_named("dream-v2")
+    with pytest.raises(ValueError, match=r'no protocol "dream-v2x". Did you mean "dream-v2"\?'):
+        protocol_named("dream-v2x")
 
 
 def test_dream_v1_noisy_is_dream_v1_with_the_noise_of_the_design() -> None:
