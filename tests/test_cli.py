@@ -297,7 +297,7 @@ def test_a_planner_that_asks_a_model_is_chosen_and_explained_without_its_client_
     [
         (["rnu"], 'no command "rnu". Did you mean "run"?'),
         (["run", "--world", "reef/fringe"], 'no world "reef/fringe". Did you mean "reef/fringing"?'),
-        (["run", "--protocol", "dream-v9"], 'no protocol "dream-v9". Did you mean "dream-v1"?'),
+        (["run", "--protocol", "dream-v9"], 'no protocol "dream-v9". Did you mean "dream-v2"?'),
         (["run", "--wrold", "reef/L"], "Did you mean --world?"),
         (["run", "--seed", "many"], "dream: --seed: expected a whole number, got many. Add --help"),
         (["run", "--seed", "-1"], "got -1. Choose a whole number between them"),

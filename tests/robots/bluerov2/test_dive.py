@@ -70,6 +70,8 @@ STEPS = 50
 """At most. It ends by itself after some 35."""
 
 
+TRIES = 3
+"""Dives in real time that are begun until the machine is found quick enough for one."""
 BEHIND = 0.25
 """Seconds by which a simulated tank may fall behind for a dive in real time to be one."""
 SHOWN: list[tuple[Path, list[str]]] = []
@@ -116,8 +118,11 @@ def second(site: Path, dive: Path, tmp_path_factory: pytest.TempPathFactory) -> 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("dream.live.beside.check_installed", lambda: None)
         patch.setattr("dream.live.beside.shown_live", shown_live)
-        ended = run_command([*fly, "--live", "--site", str(site), "--from-survey", str(dive)])
-    folder = out / (out / "latest").readlink()
+        for _ in range(TRIES):
+            ended = run_command([*fly, "--live", "--site", str(site), "--from-survey", str(dive)])
+            folder = out / (out / "latest").readlink()
+            if (folder / "summary.json").exists():
+                break
     behind = summary_of(folder)["dive"]["behind_s"]
     if ended != 0 and behind > BEHIND:
         pytest.skip(f"this machine was too slow: the simulated tank fell behind by {behind} s")
@@ -943,8 +948,9 @@ def test_the_dvl_is_told_how_fast_sound_goes(tmp_path: Path, capsys: pytest.Capt
     fly = ["dive", "--stand-in", "--check", "--json", "--speed-of-sound", "1482", "--out", str(tmp_path)]
     run_command(fly)
     said = {item["name"]: item for item in json.loads(capsys.readouterr().out)["findings"]}
-    # How many pictures come in is for the machine to say.
-    assert [name for name, item in said.items() if not item["ok"] and name != "camera"] == []
+    # How many pictures come in, and how soon they are mapped, is for the machine to say.
+    of_the_machine = {"camera", "pictures", "computer"}
+    assert [name for name, item in said.items() if not item["ok"] and name not in of_the_machine] == []
     assert said["sound"]["said"] == "told 1482 m/s, it had 1500"
     assert said["speed of sound"]["said"] == "1482 m/s"
     # No run, `latest` is what it was, and what lies there is left alone.
