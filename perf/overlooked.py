@@ -17,11 +17,10 @@ import numpy as np
 
 from dream.geometry import SE3, wrap_angle
 from dream.planning.space.in_water import HEIGHT
-from dream.planning.space.overlooked import MISSED
-from dream.protocol import protocol_named
+from dream.planning.space.overlooked import overlooked
 from dream.sim.habitats import HABITATS
 from dream.sim.inspection import Inspection
-from dream.sim.ordered import ordered_in
+from dream.sim.ordered import protocol_in
 from dream.sim.worlds import make_world
 
 ANGLES = (30, 40, 50)
@@ -31,10 +30,10 @@ LOOKS = 8
 """At one angle, evenly round a spot."""
 
 
-def overlooked(name: str, seed: int) -> tuple[list[float], list[float]]:
+def measured(name: str, seed: int) -> tuple[list[float], list[float]]:
     """Share that a look misses by its angle, and that two looks from a quarter turn apart do."""
     world = make_world(name, seed)
-    protocol = ordered_in(world, protocol_named("dream-v2"))
+    protocol = protocol_in(world, "dream-v2")
     sight, position = Inspection(world, protocol), world.targets.position
     height = HEIGHT * protocol.trusted
     chosen = np.random.default_rng(0).choice(np.flatnonzero(sight.countable), SPOTS)
@@ -72,12 +71,12 @@ def main() -> None:
     rows = []
     for case in cases:
         name, _, seed = case.partition(":")
-        once, twice = overlooked(name, int(seed or 1))
+        once, twice = measured(name, int(seed or 1))
         rows.append((once, twice))
         print(row(f"`{case}`", once, twice), flush=True)
     once, twice = np.median(rows, axis=0).tolist()
     print(row("median", once, twice))
-    told = [MISSED * (1.0 - math.cos(math.radians(angle))) ** 2 for angle in ANGLES]
+    told = overlooked(np.cos(np.radians(ANGLES, dtype=np.float32))).tolist()
     print(row("as `belief` has it", told, [share**2 for share in told]))
 
 

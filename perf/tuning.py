@@ -2,7 +2,7 @@
 
     python perf/tuning.py sweep-and-graze                          flies what its list has and the log has not
     python perf/tuning.py sweep-and-graze --only swath=0.7         of it these settings alone
-    python perf/tuning.py tiers sixsteps --protocol dream-v2  the defaults, to stand beside
+    python perf/tuning.py tiers sixsteps --protocol dream-v2       the defaults, to stand beside
     python perf/tuning.py mutual-information --table               what was flown so far
 
 The log is `results/tuning/NAME.jsonl`. It is kept with the code, so that nobody has to believe that a planner

@@ -153,12 +153,16 @@ def _indices(at, side):
 
 
 @njit(cache=True, nogil=True)
-def _past(indices, first):
-    """Past the last of those from the first on that lie in the same row or column of bricks."""
-    past = first + 1
-    while past < len(indices) and indices[past] >> BITS == indices[first] >> BITS:
-        past += 1
-    return past
+def _by_brick(indices):
+    """Where each row or column of bricks begins among those of voxels, in order, and past the last."""
+    first = np.empty(len(indices) + 1, np.int64)
+    count = 0
+    for n in range(len(indices)):
+        if n == 0 or indices[n] >> BITS != indices[n - 1] >> BITS:
+            first[count] = n
+            count += 1
+    first[count] = len(indices)
+    return first[: count + 1]
 
 
 @njit(cache=True, nogil=True)
@@ -195,19 +199,16 @@ def columns(bricks, x, y, side, levels):
     rows, cols = _indices(y, side), _indices(x, side)
     # One more, which lies over the last and is nothing.
     slots = np.empty(levels[1] - levels[0] + 1, np.int64)
-    first_row = 0
-    while first_row < len(rows):
-        past_row, first_col = _past(rows, first_row), 0
-        while first_col < len(cols):
-            past_col = _past(cols, first_col)
-            if _stack(bricks, levels, rows[first_row], cols[first_col], slots):
-                for i in range(first_row, past_row):
-                    for j in range(first_col, past_col):
-                        lowest[i, j], highest[i, j], explored[i, j] = _column(
-                            bricks, slots, rows[i], cols[j], none, votes[i, j]
-                        )
-            first_col = past_col
-        first_row = past_row
+    south, west = _by_brick(rows), _by_brick(cols)
+    for a in range(len(south) - 1):
+        for b in range(len(west) - 1):
+            if not _stack(bricks, levels, rows[south[a]], cols[west[b]], slots):
+                continue
+            for i in range(south[a], south[a + 1]):
+                for j in range(west[b], west[b + 1]):
+                    lowest[i, j], highest[i, j], explored[i, j] = _column(
+                        bricks, slots, rows[i], cols[j], none, votes[i, j]
+                    )
     return lowest, highest, votes, explored
 
 
@@ -247,21 +248,18 @@ def solid_between(bricks, x, y, side, levels, low, high):
     solid = np.zeros(low.shape, np.bool_)
     rows, cols = _indices(y, side), _indices(x, side)
     slots = np.empty(levels[1] - levels[0], np.int64)
-    first_row = 0
-    while first_row < len(rows):
-        past_row, first_col = _past(rows, first_row), 0
-        while first_col < len(cols):
-            past_col = _past(cols, first_col)
+    south, west = _by_brick(rows), _by_brick(cols)
+    for a in range(len(south) - 1):
+        for b in range(len(west) - 1):
             # Where nothing returned nothing is solid.
-            if _stack(bricks, levels, rows[first_row], cols[first_col], slots):
-                for i in range(first_row, past_row):
-                    for j in range(first_col, past_col):
-                        if low[i, j] <= high[i, j]:
-                            first = max(math.ceil(low[i, j] / side - 0.5), levels[0] * SIDE)
-                            past = min(math.floor(high[i, j] / side - 0.5) + 1, levels[1] * SIDE)
-                            solid[i, j] = _some_solid(bricks, slots, levels, rows[i], cols[j], first, past)
-            first_col = past_col
-        first_row = past_row
+            if not _stack(bricks, levels, rows[south[a]], cols[west[b]], slots):
+                continue
+            for i in range(south[a], south[a + 1]):
+                for j in range(west[b], west[b + 1]):
+                    if low[i, j] <= high[i, j]:
+                        first = max(math.ceil(low[i, j] / side - 0.5), levels[0] * SIDE)
+                        past = min(math.floor(high[i, j] / side - 0.5) + 1, levels[1] * SIDE)
+                        solid[i, j] = _some_solid(bricks, slots, levels, rows[i], cols[j], first, past)
     return solid
 
 

@@ -14,10 +14,11 @@ from dream.planning.space.overlooked import Overlooked
 from dream.planning.space.ways import ways_in
 from dream.planning.travel import careful_standoff, careful_travel
 from dream.protocol import SurveyProtocol
-from dream.types import BoolArray, Decision, Float32Array, Mission, Observation, Reasoning
+from dream.types import BoolArray, Decision, Float32Array, IntArray, Mission, Observation, Reasoning
 
 if TYPE_CHECKING:
     from dream.mapping import OccupancyMap
+    from dream.mapping.volume import Surface
 
 HEIGHT = 0.5
 """Height above ground at which it is searched, as a share of how far labels are trusted: from there all of it
@@ -88,12 +89,9 @@ class InWater:
         assert occupancy.volume is not None
         self.overlooked.take(observation)
         surface = occupancy.volume.surface()
-        x, y = surface.middles[:, :2].T
-        inside = occupancy.contains(x, y)
-        row, col = occupancy.cell_of(x[inside], y[inside])
-        cell, cells = row * occupancy.shape[1] + col, occupancy.seen.size
-        voxels = np.maximum(np.bincount(cell, minlength=cells), 1)
-        share = np.bincount(cell, np.nan_to_num(surface.target[inside]), cells) / voxels
+        inside, cells = _cells_of(surface, occupancy)
+        voxels = np.maximum(np.bincount(cells, minlength=occupancy.seen.size), 1)
+        share = np.bincount(cells, surface.target[inside], occupancy.seen.size) / voxels
         width = round(AROUND / self.protocol.cell)
         target, seen = (
             uniform_filter(part.astype(np.float32), width, mode="constant")
@@ -139,12 +137,11 @@ class InWater:
         """(rows, cols) what stands up, but so low that the vehicle passes over it at the search's height."""
         assert occupancy.volume is not None
         assert self.protocol.space is not None
-        middles = occupancy.volume.surface().middles
-        inside = occupancy.contains(*middles[:, :2].T)
+        surface = occupancy.volume.surface()
+        inside, cells = _cells_of(surface, occupancy)
         top = np.full(occupancy.shape, -np.inf)
         # By one number a cell it takes a tenth of the time.
-        cells = np.ravel_multi_index(occupancy.cell_of(*middles[inside, :2].T), top.shape)
-        np.maximum.at(top.reshape(-1), cells, middles[inside, 2])
+        np.maximum.at(top.reshape(-1), cells, surface.middles[inside, 2])
         highest = occupancy.ground + self.height - self.protocol.space.lowest
         return np.asarray(occupancy.solid & (top + 0.5 * occupancy.volume.cell <= highest))
 
@@ -213,6 +210,13 @@ class InWater:
         """A tilt, or None where the camera has it."""
         protocol = self.mission.protocol
         return None if protocol.tilts[nearest_tilt(protocol, observation)] == wanted else wanted
+
+
+def _cells_of(surface: Surface, occupancy: OccupancyMap) -> tuple[BoolArray, IntArray]:
+    """(n,) which voxels lie over cells of the map, and of those (m,) which cell, numbered row by row."""
+    x, y = surface.middles[:, :2].T
+    inside = occupancy.contains(x, y)
+    return inside, np.ravel_multi_index(occupancy.cell_of(x[inside], y[inside]), occupancy.shape)
 
 
 def _end(move: Decision, observation: Observation, protocol: SurveyProtocol) -> tuple[float, float, float]:

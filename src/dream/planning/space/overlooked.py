@@ -15,6 +15,11 @@ MISSED = 0.75
 this times (1 − cos θ)²: the others around it hide it. From 25° that is 1 %, from 48° 8 %, from 60° 19 %."""
 
 
+def overlooked(cosine: Float32Array) -> Float32Array:
+    """The probability that a look misses an individual, by the cosine of its angle to the vertical."""
+    return np.asarray(MISSED * np.square(1.0 - cosine), np.float32)
+
+
 @dataclass(slots=True, eq=False)
 class Overlooked:
     """The looks that each cell of the ground had, and what they leave.
@@ -59,5 +64,5 @@ class Overlooked:
             (bounds.x_min, bounds.y_min),
             protocol.cell,
         )
-        left = np.where(self._steepest > 0.0, MISSED * np.square(1.0 - self._steepest), np.float32(1.0))
+        left = np.where(self._steepest > 0.0, overlooked(self._steepest), np.float32(1.0))
         self.share, self.parts = left.prod(axis=0), np.count_nonzero(self._steepest, axis=0)
