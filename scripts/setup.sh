@@ -71,8 +71,9 @@ is_there "$@" && exit 0
 while other=$(cat $unfinished 2>/dev/null) && kill -0 "$other" 2>/dev/null; do
     say "waiting for the set-up of process $other (if that is another program, remove $PWD/$unfinished)"
     sleep 10
-    is_there "$@" && exit 0
 done
+# Again: the other may just have ended.
+is_there "$@" && exit 0
 repair=
 [ -f $unfinished ] && repair=--reinstall
 echo $$ >$unfinished
