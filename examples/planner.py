@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -24,6 +24,7 @@ from dream.mapping import OccupancyMap, check_completion, within
 from dream.planning import PLANNERS
 from dream.planning.failed_views import FailedViews
 from dream.planning.parameters import check_range
+from dream.planning.space.over_ground import OverGround, in_plane_or_over_ground
 from dream.planning.travel import careful_travel
 from dream.planning.viewpoints import viewpoints_from
 from dream.protocol import DREAM_V1
@@ -55,9 +56,12 @@ class Nearby:
         check_range("elsewhere", self.elsewhere, 0.0, 1.0)
         check_range("least_steps", self.least_steps, 0, 10_000)
 
-    def begin(self, mission: Mission) -> NearbyPilot:
+    spatial: ClassVar[bool] = True
+    """That it flies under protocols that move in space, too: over the ground, as `OverGround` says."""
+
+    def begin(self, mission: Mission) -> NearbyPilot | OverGround:
         """What decides during one mission, and remembers what it must."""
-        return NearbyPilot(self, mission)
+        return in_plane_or_over_ground(mission, lambda in_plane: NearbyPilot(self, in_plane))
 
 
 @dataclass(slots=True)

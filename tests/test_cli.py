@@ -521,7 +521,7 @@ def test_options_of_a_vehicle_are_refused_where_none_swims(
 ) -> None:
     for command in ("run", "bench"):
         assert run_command([command, "--current", "0.2", "--out", str(tmp_path / command)]) == 2
-        assert "--protocol dream-v1-nav" in capsys.readouterr().err
+        assert "--protocol dream-v2-nav" in capsys.readouterr().err
         assert not (tmp_path / command).exists()
 
 

@@ -42,7 +42,7 @@ class Pilot:
         turn = self.planner.side * math.pi / 6
         return Decision(turn, 1.0, reasoning=Reasoning(action=SAID))
 """
-WORLD = ("--world", "flat/empty", "--max-steps", "5")
+WORLD = ("--world", "flat/empty", "--max-steps", "5", "--protocol", "dream-v1")
 
 
 def written(folder: Path, text: str = WHOLE) -> Path:

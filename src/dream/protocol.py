@@ -437,6 +437,16 @@ def protocol_named(name: str) -> SurveyProtocol:
     return look_up(PROTOCOLS, name, "protocol")
 
 
+def protocol_for(made_for: str, name: str | None = None) -> SurveyProtocol:
+    """The protocol of a name; without one that by which worlds made for a protocol are explored.
+
+    Those of dream-v1, the plane, are explored in space. A ValueError where there is none of the name.
+    """
+    if name is None and made_for == DREAM_V1.name:
+        return DREAM_V2
+    return protocol_named(name or made_for)
+
+
 def noisy_variants(protocol: SurveyProtocol) -> list[SurveyProtocol]:
     """The protocols that differ from it in nothing but a sensor that errs.
 

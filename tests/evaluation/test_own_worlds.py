@@ -28,7 +28,7 @@ from dream.sim.files import load_world, save_world, world_hash
 from tests.engines import InProcess
 from tests.sim.made import made
 
-FLY = ["--planners", "random", "lawnmower", "--max-steps", "4", "--jobs", "1"]
+FLY = ["--planners", "random", "lawnmower", "--max-steps", "4", "--jobs", "1", "--protocol", "dream-v1"]
 
 
 def edit(folder: Path, **changes: Any) -> None:
@@ -175,7 +175,7 @@ def test_no_benchmark_goes_on_with_a_world_that_has_changed(
 
 def test_it_goes_on_where_it_was_and_others_join() -> None:
     moved(saved(Path("mine")))
-    fly = ["bench", "--max-steps", "4", "--jobs", "1", "--out", "all"]
+    fly = ["bench", "--max-steps", "4", "--jobs", "1", "--protocol", "dream-v1", "--out", "all"]
     assert run_command([*fly, "--world", "mine", "--planners", "random"]) == 0
     kept = {path: path.stat().st_mtime_ns for path in Path("all/missions").iterdir()}
     saved(Path("other"), seed=2, name="Riff vor Föhr")

@@ -201,7 +201,7 @@ def test_ctrl_c_keeps_what_was_flown_and_the_rest_follows(tmp_path: Path) -> Non
 
 def test_kill_9_loses_and_repeats_nothing(tmp_path: Path) -> None:
     command = ["bench", "--world", "flat/empty", "--seeds", "1..6", "--planners", "random", "lawnmower"]
-    command += ["--max-steps", "9", "--jobs", "1", "--out", str(tmp_path)]
+    command += ["--protocol", "dream-v1", "--max-steps", "9", "--jobs", "1", "--out", str(tmp_path)]
     running = subprocess.Popen([sys.executable, "-m", "dream.cli", *command], stderr=subprocess.PIPE)
     deadline = time.monotonic() + 60
     while len(files_of(tmp_path)) < 3:
@@ -499,6 +499,7 @@ def test_a_failed_mission_makes_status_1_and_is_named(
 
     monkeypatch.setattr("dream.evaluation.engines.Processes", lambda jobs: Unlucky())
     options = ["bench", "--world", "flat/empty", "--planners", "random", "lawnmower", "--max-steps", "3"]
+    options += ["--protocol", "dream-v1"]
     assert run_command([*options, "--json", "--out", str(tmp_path)]) == 1
     printed = capsys.readouterr()
     outcome = json.loads(printed.out)

@@ -327,6 +327,7 @@ def test_a_folder_holds_one_key_the_next_blocks_and_nothing_else(
     assert run(*out, "--blocks", "3") == 0
     before = {path: path.read_bytes() for path in Path("here").rglob("*") if path.is_file()}
     ordinary = ["bench", "--world", "flat/empty", "--planners", "random", "--max-steps", "3", "--jobs", "1"]
+    ordinary += ["--protocol", "dream-v1"]
 
     def refused(status: int, said: str) -> None:
         assert status == 2

@@ -119,7 +119,7 @@ def test_a_token_is_made_for_others_and_told_once(growing: Make) -> None:
 def test_a_mission_is_served_while_it_flies_and_ends_as_ever(tmp_path: Path) -> None:
     mission = started(
         "run",
-        "random",
+        "lawnmower",
         "--world",
         "flat/empty",
         "--max-steps",

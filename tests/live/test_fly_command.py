@@ -97,7 +97,7 @@ def test_a_mission_becomes_a_row_beside_those_of_planners_once(
     bench, cases = tmp_path / "bench", (Case("flat/empty", 1), Case("flat/empty", 2))
     plan = Plan("two", cases, {"random": PLANNERS["random"]}, DREAM_V1, 5)
     assert len(list(fly_plan(plan, bench, Processes(1)))) == 2
-    words = (*FLAT, "--out", str(tmp_path / "runs"), "--bench", str(bench))
+    words = (*FLAT, "--protocol", "dream-v1", "--out", str(tmp_path / "runs"), "--bench", str(bench))
     same = (*words, "--max-steps", "5", "--name", "ann")
     summary, _ = flown(*same, steps=2)
     results = read_results(bench)

@@ -12,9 +12,10 @@ import pytest
 
 from dream.geometry import SE3, camera_mount
 from dream.mapping import OccupancyMap
-from dream.planning.space.in_water import LEFT, MISSED, SEARCHED, STANDS, TOLD, InWater
+from dream.planning.space.in_water import DOUBTED, LEFT, MISSED, SEARCHED, STANDS, TOLD, InWater
 from dream.planning.space.overlooked import MISSED as MISSES
 from dream.planning.space.overlooked import PARTS, Overlooked
+from dream.protocol import DREAM_V2 as ERRING
 from dream.protocol import DREAM_V2_TRUE as PROTOCOL
 from dream.types import Observation
 from tests.planning.standing import BOUNDS, SEABED, middles_in, mission, observed, solid, vote, water
@@ -210,3 +211,31 @@ def test_what_stands_up_is_to_be_looked_at_from_four_sides() -> None:
     assert found[:-1] == [1.0 - (number + 1) / STANDS for number in range(STANDS - 1)]
     assert found[-1] == pytest.approx(float(over.overlooked.share[rock]))
     assert found[-1] < SEARCHED
+
+
+def test_pieces_that_no_group_fits_into_are_looked_at_last_beside_one_that_it_does() -> None:
+    volume, frame = water(), looking(0.0, 0.0, 0.0)
+    occupancy = OccupancyMap(BOUNDS, ERRING)
+    occupancy.volume = volume
+    large, small = occupancy.cell_of(-1.5, -1.5), occupancy.cell_of(3.0, 3.0)
+
+    def taken(radius: float) -> InWater:
+        over = InWater(replace(mission(), protocol=replace(ERRING, group_radius=radius)))
+        occupancy._look_from_above(0.0, 0.0, SEABED + 2.0)
+        occupancy._changed()
+        over.take(frame, occupancy)
+        return over
+
+    vote(volume, middles_in((2.7, 2.7, SEABED - PROTOCOL.cell), (3.3, 3.3, SEABED)), 1.0)
+    alone = taken(1.1)
+    assert alone.told[small]
+    assert not alone.doubted.any()
+    vote(volume, middles_in((-4.0, -4.0, SEABED - PROTOCOL.cell), (1.0, 1.0, SEABED)), 1.0)
+    beside = taken(1.1)
+    assert beside.told[large]
+    assert beside.doubted[small]
+    assert not beside.doubted[large]
+    beside.left[small] = 1.0
+    assert beside.from_above(occupancy).unseen[small] == np.float32(DOUBTED)
+    # No wider than labels are wrong in one piece, a group is not known by its size.
+    assert not taken(0.4).doubted.any()

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dream.geometry import Bounds
-from dream.protocol import DREAM_V1, DREAM_V2, DREAM_V2_NAV, DREAM_V2_TRUE, ORDERED
+from dream.protocol import DREAM_V1, DREAM_V2, DREAM_V2_NAV, DREAM_V2_TRUE, ORDERED, POOL_V1, protocol_for
 from dream.recording import OrderedRules, RunConfig
 from dream.sim.ordered import ordered_in, protocol_in
 from dream.sim.visual_range import visual_range
@@ -80,6 +80,7 @@ def test_a_run_tells_by_which_rules_it_was_flown() -> None:
     assert config.model_copy(update={"ordered": None}).rules == DREAM_V2
 
 
-def test_a_world_is_flown_by_the_protocol_that_it_is_made_for_unless_told() -> None:
-    assert protocol_in(FLAT) == DREAM_V1
-    assert protocol_in(FLAT, DREAM_V2.name) == ordered_in(FLAT, DREAM_V2)
+def test_worlds_made_for_the_plane_are_explored_in_space_unless_told() -> None:
+    assert protocol_in(FLAT) == ordered_in(FLAT, DREAM_V2)
+    assert protocol_in(FLAT, DREAM_V1.name) == DREAM_V1
+    assert protocol_for(POOL_V1.name) == POOL_V1

@@ -50,7 +50,7 @@ def test_every_command_says_that_a_world_was_changed(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     save_world(replace(made("flat/empty", 1), seed=2, starts=made("flat/empty", 1).starts[:1]), "mine")
-    assert run_command(["run", "random", "--world", "mine", "--max-steps", "2", "--json"]) == 0
+    assert run_command(["run", "belief", "--world", "mine", "--max-steps", "2", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["world"] == "flat/empty (changed)"
     assert json.loads(Path("runs/latest/config.json").read_text())["world"] == "flat/empty (changed)"
     assert run_command(["draw", "--world", "mine"]) == 0

@@ -19,8 +19,17 @@ from dream.flies import check_flies
 from dream.names import look_up
 from dream.options import First
 from dream.own_code import SUFFIX
-from dream.planning import LABEL, LABELLED, OFFLINE, PLANNERS, AnyPlanner, Asking, check_installed
-from dream.protocol import protocol_named
+from dream.planning import (
+    LABEL,
+    LABELLED,
+    OFFLINE,
+    OFFLINE_IN_SPACE,
+    PLANNERS,
+    AnyPlanner,
+    Asking,
+    check_installed,
+)
+from dream.protocol import SurveyProtocol, protocol_for
 from dream.telling import rich_console
 
 if TYPE_CHECKING:
@@ -38,8 +47,9 @@ SEALED = "sealed"
 class Flying:
     """Options of every command that flies many missions."""
 
-    planners: First[Annotated[tuple[str, ...], tyro.conf.arg(metavar="PLANNER ...")]] = OFFLINE
-    """Names of planners. NAME+LABEL is one that asks a model, so that a folder holds several models."""
+    planners: First[Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="PLANNER ...")]] = None
+    """Names of planners. NAME+LABEL is one that asks a model, so that a folder holds several models. Unless
+    given, those that ask none and find reefs and wrecks alike: belief, greedy, sixsteps; in the plane all."""
     asking: Asking = field(default_factory=Asking)
     """For those of the planners that ask a model."""
     max_steps: int | None = None
@@ -55,16 +65,20 @@ class Flying:
     json: bool = False
     """Print one JSON object and nothing else."""
 
-    def chosen_planners(self) -> dict[str, AnyPlanner]:
-        """By name; a ValueError where there is none of that name, or none at all."""
-        if not self.planners:
+    def chosen_planners(self, protocol: SurveyProtocol) -> dict[str, AnyPlanner]:
+        """By name; a ValueError where there is none of that name, none, or one that does not fly by it."""
+        names = self.planners
+        if names is None:
+            names = OFFLINE if protocol.space is None else OFFLINE_IN_SPACE
+        if not names:
             raise ValueError(f"--planners: expected one or more of {', '.join(PLANNERS)}, got none")
-        chosen = {name: _planner(name) for name in self.planners}
-        if len(chosen) < len(self.planners):
-            raise ValueError(f"--planners: expected each once, got {' '.join(self.planners)}")
+        chosen = {name: _planner(name) for name in names}
+        if len(chosen) < len(names):
+            raise ValueError(f"--planners: expected each once, got {' '.join(names)}")
         chosen = self._with_their_model(chosen)
         for planner in chosen.values():
             check_installed(planner)
+            check_flies(planner, protocol)
         return chosen
 
     def _with_their_model(self, chosen: dict[str, AnyPlanner]) -> dict[str, AnyPlanner]:
@@ -149,7 +163,7 @@ class Bench(Flying):
     commitment: Annotated[tuple[str, ...], tyro.conf.arg(metavar="HEX ...")] = ()
     """Of `sealed`: what was published of each of these blocks. Other worlds are refused."""
     protocol: First[str | None] = None
-    """Rules of the survey: sensors, reach and cap. Unless given, those that the worlds are made for."""
+    """Rules of the survey: sensors, reach and cap. Unless given, dream-v2; those of the pool for a tank."""
     out: First[Path | None] = None
     """Folder of the benchmark. Unless given, one in `bench`."""
     swim: Swim = field(default_factory=Swim)
@@ -160,13 +174,11 @@ class Bench(Flying):
         from dream.evaluation.sealed import sealed
         from dream.evaluation.suites import SEALED_PROTOCOL
 
-        planners, engine = self.chosen_planners(), self.chosen_engine()
-        blocks = self._blocks()
+        engine, blocks = self.chosen_engine(), self._blocks()
         name, cases = self._cases() if not blocks else (SEALED, sum((each.cases() for each in blocks), ()))
-        home = SEALED_PROTOCOL if blocks else cases[0].open().protocol
-        protocol = protocol_named(self.protocol or home)
-        for planner in planners.values():
-            check_flies(planner, protocol)
+        made_for = SEALED_PROTOCOL if blocks else cases[0].open().protocol
+        protocol = protocol_for(made_for, self.protocol)
+        planners = self.chosen_planners(protocol)
         swimming = self.swim.chosen(protocol)
         sealing = sealed(blocks) if blocks else None
         plan = Plan(name, cases, planners, protocol, self.max_steps, self.keep_runs, swimming, sealing)

@@ -18,7 +18,7 @@ from dream.commands.outcome import fly_to_end, tell_outcome
 from dream.commands.progress import stage
 from dream.options import First
 from dream.planning import HUMAN, LABEL, LABELLED, Human
-from dream.protocol import protocol_named
+from dream.protocol import protocol_for
 
 if TYPE_CHECKING:
     from dream.evaluation.engines import Failure
@@ -54,7 +54,7 @@ class Fly:
     max_steps: First[int | None] = None
     """Steps at most, that is decisions carried out. Unless given, the cap of the protocol: 200."""
     protocol: First[str | None] = None
-    """Rules of the survey: sensors, reach and cap. Unless given, those that the world is made for."""
+    """Rules of the survey: sensors, reach and cap. Unless given, dream-v2; those of the pool for a tank."""
     name: First[str | None] = None
     """Who flies: the planner is called human+NAME. Unless given, human."""
     bench: First[Path | None] = None
@@ -208,7 +208,7 @@ class Fly:
             manifest = read_manifest(folder)
             if case.as_dict() in manifest["cases"]:
                 suite = manifest["suite"].split(", ")[0]
-        protocol = protocol_named(self.protocol or case.open().protocol)
+        protocol = protocol_for(case.open().protocol, self.protocol)
         return Plan(suite, (case,), {called: Human()}, protocol, self.max_steps)
 
 

@@ -47,7 +47,7 @@ class Mission:
     seed: First[int] = 1
     """Which world of that name."""
     protocol: str | None = None
-    """Rules of the survey: sensors, reach and cap. Unless given, those that the world is made for."""
+    """Rules of the survey: sensors, reach and cap. Unless given, dream-v2; those of the pool for a tank."""
     out: First[Path] = Path("mission.json")
     """File to write. A picture of the areas is written beside it."""
     yes: First[bool] = False

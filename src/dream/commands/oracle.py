@@ -118,7 +118,7 @@ class Oracle:
         name = self.world or DEFAULT_WORLD
         with stage(f"opening {name} {self.seed}"):
             world = open_world(name, self.seed)
-        protocol = protocol_in(world, self.protocol)
+        protocol = protocol_in(world, self.protocol or world.protocol)
         if protocol.space is not None:
             return self._one_in_space(world, protocol)
         known = known_bounds(protocol.name, world.name, world.seed, self.start, world_hash(world))

@@ -67,7 +67,7 @@ class Run:
     max_steps: First[int | None] = None
     """Steps at most, that is decisions carried out. Unless given, the cap of the protocol: 200."""
     protocol: First[str | None] = None
-    """Rules of the survey: sensors, reach and cap. Unless given, those that the world is made for."""
+    """Rules of the survey: sensors, reach and cap. Unless given, dream-v2; those of the pool for a tank."""
     mission: First[str | None] = None
     """Orders: a file that `dream mission` wrote. A planner that asks a model also takes plain words."""
     yes: bool = False

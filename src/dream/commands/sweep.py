@@ -37,7 +37,7 @@ class Sweep(Flying):
         from dream.evaluation.runner import Plan
         from dream.evaluation.suites import suite_named
 
-        planners, engine, cases = self.chosen_planners(), self.chosen_engine(), suite_named(self.suite)
+        engine, cases = self.chosen_engine(), suite_named(self.suite)
         if not self.reach:
             raise ValueError(
                 f"--reach: expected one or more of {', '.join(f'{r:g}' for r in REACHES)}, got none"
@@ -47,6 +47,7 @@ class Sweep(Flying):
                 f"--reach: expected one or more of {', '.join(f'{r:g}' for r in REACHES)}, got {strays[0]:g}"
             )
         protocols = {reach: protocol_named(reach_variant(reach)) for reach in self.reach}
+        planners = self.chosen_planners(next(iter(protocols.values())))
         root = self.out or Path("sweep") / Path(self.suite).stem
         outcomes: list[Outcome] = []
         for reach, protocol in protocols.items():

@@ -33,7 +33,7 @@ class Swim:
             if self != Swim():
                 raise ValueError(
                     "--vehicle, --current, --gust, --dvl, --dvl-losses, --no-anchoring: expected a protocol "
-                    f"by which a vehicle swims with them, got {protocol.name}. Say --protocol dream-v1-nav"
+                    f"by which a vehicle swims with them, got {protocol.name}. Say --protocol dream-v2-nav"
                 )
             return None
         from dream.robots import Anchoring, Motion, Swimming

@@ -91,6 +91,9 @@ OFFLINE: tuple[str, ...] = tuple(name for name in PLANAR if not isinstance(PLANN
 """Names of those of them that need nothing but this machine: they ask no model, and run no network, which
 takes ONNX Runtime."""
 
+OFFLINE_IN_SPACE: tuple[str, ...] = ("belief", "greedy", "sixsteps")
+"""Names of those that need as little and, under a protocol that moves in space, find reefs and wrecks."""
+
 
 def check_installed(planner: object) -> None:
     """Raise a ValueError where what a planner needs is not installed: an extra, for those that need one."""
@@ -113,6 +116,7 @@ __all__ = [
     "LABEL",
     "LABELLED",
     "OFFLINE",
+    "OFFLINE_IN_SPACE",
     "PLANAR",
     "PLANNERS",
     "AnyPlanner",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dream.protocol import SurveyProtocol, protocol_named
+from dream.protocol import SurveyProtocol, protocol_for
 from dream.sim.visual_range import visual_range
 from dream.sim.world import World
 
@@ -20,5 +20,5 @@ def ordered_in(world: World, protocol: SurveyProtocol) -> SurveyProtocol:
 
 
 def protocol_in(world: World, name: str | None = None) -> SurveyProtocol:
-    """The protocol of a name, unless given that which the world is made for, as it is ordered there."""
-    return ordered_in(world, protocol_named(name or world.protocol))
+    """The protocol of a name, or without one that of `protocol_for`, as it is ordered there."""
+    return ordered_in(world, protocol_for(world.protocol, name))

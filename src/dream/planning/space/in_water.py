@@ -32,6 +32,10 @@ AROUND = 1.0
 TOLD = 0.05
 """Share of its votes from which on there are: where individuals stand apart most of each cell is seabed. In
 murky water four of five individuals lie on ground that is told so, and an eighth of bare ground is."""
+GROUP = 2.0
+"""Times the area of the least group, below which a piece of ground that is told so is doubted."""
+DOUBTED = 0.25
+"""Weight of what is doubted in what is to be looked at next: most of it are labels that are wrong."""
 STANDS = 4
 """Eighths of the compass out of which cells of what stands up are to be looked at."""
 SEARCHED = 0.03
@@ -63,13 +67,15 @@ class InWater:
     """The looks at the ground."""
     told: BoolArray = field(init=False)
     """(rows, cols) where labels tell that there are targets."""
+    doubted: BoolArray = field(init=False)
+    """(rows, cols) where they do, but on a piece of ground that no group fits into."""
     left: Float32Array = field(init=False)
     """(rows, cols) share of the individuals in each cell that is expected not to be inspected."""
 
     def __post_init__(self) -> None:
         self.overlooked = Overlooked(self.mission)
         self.left = self.overlooked.share
-        self.told = np.zeros(self.left.shape, np.bool_)
+        self.told, self.doubted = np.zeros(self.left.shape, np.bool_), np.zeros(self.left.shape, np.bool_)
         whole = self.mission.protocol
         assert whole.space is not None
         self.height = max(HEIGHT * whole.trusted, whole.space.lowest + whole.lattice)
@@ -98,13 +104,32 @@ class InWater:
             for part in (np.where(occupancy.seen, share.reshape(occupancy.shape), 0.0), occupancy.seen)
         )
         self.told = np.asarray(occupancy.seen & (target >= TOLD * np.maximum(seen, 1e-6)))
+        self.doubted = self._doubted()
         # What stands up shows no side that nobody looked at.
         sides = np.where(occupancy.solid, np.maximum(1.0 - self.overlooked.parts / STANDS, 0.0), 0.0)
         self.left = np.where(occupancy.seen, np.maximum(self.overlooked.share, sides), 1.0).astype(np.float32)
 
+    def _doubted(self) -> BoolArray:
+        """Pieces of ground that are told to be target and too small for any group, beside one that is not.
+
+        Where the least group is no wider than what labels are wrong of in one piece, sizes tell nothing.
+        """
+        from scipy.ndimage import label
+
+        protocol = self.protocol
+        pieces, _ = label(self.told, np.ones((3, 3)))
+        small = (
+            np.bincount(pieces.reshape(-1)) < GROUP * math.pi * (protocol.group_radius / protocol.cell) ** 2
+        )
+        small[0] = True
+        if small.all() or protocol.lasting is None or 2.0 * protocol.group_radius <= protocol.lasting.blob[1]:
+            return np.zeros_like(self.told)
+        return np.asarray(self.told & small[pieces])
+
     def from_above(self, occupancy: OccupancyMap) -> OccupancyMap:
         """The map to a pilot of the plane, to be read until the map changes."""
         unseen = np.where(self.searched(occupancy), np.float32(0.0), self.left)
+        unseen[self.doubted] *= DOUBTED
         return occupancy.counting(unseen, self.protocol.reach, self.passed_over(occupancy))
 
     def enough(self, hiding: BoolArray, occupancy: OccupancyMap) -> bool:
