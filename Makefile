@@ -29,10 +29,10 @@ survey: setup-survey ## Survey a reef, come back a year on, say what changed, an
 	@at=runs/survey-$$(date +%Y-%m-%dT%H-%M-%S); set -e; \
 	dream() { echo "\$$ $(BIN)/dream $$*"; $(BIN)/dream "$$@"; }; \
 	export DREAM_ARCHIVE=$$at/surveys.gpkg; echo "\$$ export DREAM_ARCHIVE=$$DREAM_ARCHIVE"; \
-	dream run --world reef/string --site examples/site.json --out $$at/before; \
+	dream run --world reef/string --protocol dream-v1 --site examples/site.json --out $$at/before; \
 	dream survey add $$at/before/latest; \
 	echo; echo "The same reef one simulated year on."; \
-	dream run --world reef/string+1y1 --start 1 --site examples/site.json --from-survey 1 --out $$at/after; \
+	dream run --world reef/string+1y1 --protocol dream-v1 --start 1 --site examples/site.json --from-survey 1 --out $$at/after; \
 	dream survey add $$at/after/latest; \
 	dream survey compare 1 2 --out $$at/change; \
 	dream survey export 2 --run $$at/after/latest --to $$at/products

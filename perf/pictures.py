@@ -62,7 +62,7 @@ def main() -> None:
     )
     parser.add_argument("what", choices=("mission", "watch"))
     parser.add_argument("of", type=Path)
-    parser.add_argument("--step", type=int, default=22, help="of the mission")
+    parser.add_argument("--step", type=int, default=76, help="of the mission")
     given = parser.parse_args()
     if given.what == "mission":
         page = (given.of.resolve() / "report.html").as_uri()

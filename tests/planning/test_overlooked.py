@@ -170,6 +170,11 @@ def test_it_ends_when_little_ground_is_unseen_and_little_is_missed(searched: tup
     hiding[-side:, -side:] = True
     occupancy.observed[-side:, -side:] = False
     assert not over.enough(hiding, occupancy)
+    left = side**2 / occupancy.seen.size
+    words = (
+        f"{left:.1%} of the ground that can be seen lies in holes wider than 1 m, and 0.2% of all individuals"
+    )
+    assert over.in_words(hiding, occupancy).startswith(words)
     occupancy.observed[-side:, -side:] = True
     assert over.enough(hiding, occupancy)
 

@@ -56,9 +56,11 @@ class GroundSearch:
         if out is not None:
             return out
         thought = self.pilot.consider(observation, near)
-        if self.water.enough(thought.expected.hiding, occupancy):
+        hiding = thought.expected.hiding
+        if self.water.enough(hiding, occupancy):
             thought = replace(thought, plan=None, why=ENOUGH)
         decision = self.pilot.act(thought, thought.plan)
         if decision.done:
-            return decision
+            words = self.water.in_words(hiding, occupancy)
+            return replace(decision, reasoning=replace(decision.reasoning, completion=words))
         return replace(self.water.moved(decision, observation, occupancy), reasoning=decision.reasoning)

@@ -139,11 +139,20 @@ class InWater:
             hiding: Middles of discs of the radius `HOLE` in which nothing was searched.
             occupancy: The map itself.
         """
-        left = within(hiding, HOLE, self.protocol.cell) & ~occupancy.observed
-        return bool(
-            np.count_nonzero(left) <= LEFT * np.count_nonzero(occupancy.to_see)
-            and self.missed(occupancy) <= MISSED
+        return self.holes(hiding, occupancy) <= LEFT and self.missed(occupancy) <= MISSED
+
+    def in_words(self, hiding: BoolArray, occupancy: OccupancyMap) -> str:
+        """What is left when the search ends; see `enough`."""
+        holes, missed = self.holes(hiding, occupancy), self.missed(occupancy)
+        return (
+            f"{holes:.1%} of the ground that can be seen lies in holes wider than {2.0 * HOLE:g} m, and "
+            f"{missed:.1%} of all individuals are expected to be missed."
         )
+
+    def holes(self, hiding: BoolArray, occupancy: OccupancyMap) -> float:
+        """Share of the ground that can be seen, was not, and lies in holes; see `enough`."""
+        left = within(hiding, HOLE, self.protocol.cell) & ~occupancy.observed
+        return np.count_nonzero(left) / max(1, int(np.count_nonzero(occupancy.to_see)))
 
     def missed(self, occupancy: OccupancyMap) -> float:
         """Expected share of all individuals that was not inspected, as far as labels tell where they are.

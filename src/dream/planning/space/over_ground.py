@@ -80,7 +80,8 @@ class OverGround:
         near = self.water.from_above(occupancy)
         expected = self.judge.expect(self.judge.take(observation, near))
         if self.water.enough(expected.hiding, occupancy):
-            return Decision(done=True, reasoning=Reasoning(action=ENOUGH))
+            words = self.water.in_words(expected.hiding, occupancy)
+            return Decision(done=True, reasoning=Reasoning(action=ENOUGH, completion=words))
         out = self.water.into_the_open(observation, near)
         if out is not None:
             return out
