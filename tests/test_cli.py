@@ -355,7 +355,7 @@ def test_a_planner_that_asks_a_model_is_chosen_and_explained_without_its_client_
         (["run", "random", "--walk-seed", "-1"], "--walk-seed: expected 0 to"),
         (["run", "--protocol", "pool-v1"], "reef/string is made for dream-v1"),
         (["bench", "paper", "--jobs", "0"], "--jobs: expected at least 1, got 0"),
-        (["bench", "paper", "--max-steps", "0"], "--max-steps: expected 1 to 200"),
+        (["bench", "paper", "--max-steps", "0"], "--max-steps: expected 1 to 10000"),
         (["bench", "paper", "--planners"], "--planners: expected one or more of"),
         (["bench", "paper", "--planners", "random", "random"], "--planners: expected each once"),
         (
@@ -612,7 +612,21 @@ def test_what_fails_in_a_planner_of_ones_own_is_told_by_its_line_and_kept_whole(
 ) -> None:
     file = tmp_path / "mine.py"
     file.write_text(OWN.replace("{decided}", decided))
-    assert run_command(["run", str(file), "--world", "flat/empty", "--out", str(tmp_path / "runs")]) == 1
+    assert (
+        run_command(
+            [
+                "run",
+                str(file),
+                "--world",
+                "flat/empty",
+                "--protocol",
+                "dream-v1",
+                "--out",
+                str(tmp_path / "runs"),
+            ]
+        )
+        == 1
+    )
     told = capsys.readouterr().err.splitlines()[-1]
     assert words in told
     (folder,) = (path for path in (tmp_path / "runs").iterdir() if not path.is_symlink())
@@ -713,7 +727,8 @@ def test_a_run_says_once_that_it_compiles(
 def test_a_run_prints_how_it_ended_and_what_its_planner_said_last(
     planner: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert run_command(["run", planner, "--max-steps", "5", "--out", str(tmp_path)]) == 0
+    options = ["--protocol", "dream-v1", "--max-steps", "5", "--out", str(tmp_path)]
+    assert run_command(["run", planner, *options]) == 0
     printed = capsys.readouterr().out
     assert "\n  out of steps after 5 steps\n" in printed
     last = read_steps(tmp_path / "latest")[-1].reasoning
@@ -734,7 +749,7 @@ def test_a_run_prints_the_shares_that_its_steps_are_told_for(
     # Where there is nothing to see, all of it is seen at the first look.
     assert run_command(["run", "--world", "flat/empty", "--max-steps", "1", "--out", str(tmp_path)]) == 0
     shares = "90 % at 0, 95 % at 0, 98.26 % at 0, 100 % at 0"
-    assert f"steps until a share of the individuals was seen: {shares}\n" in capsys.readouterr().out
+    assert f"steps until a share of the individuals was inspected: {shares}\n" in capsys.readouterr().out
 
 
 def test_oracle_prints_both_ends_as_one_json_object_and_draws_the_tour(
@@ -997,6 +1012,8 @@ def ask(script: list[Response | Answer], out: Path, *options: str) -> tuple[int,
             "vanilla",
             "--world",
             "flat/empty",
+            "--protocol",
+            "dream-v1",
             *model,
             "--max-steps",
             "6",
@@ -1036,7 +1053,7 @@ def test_nothing_breaks_into_the_progress_of_a_run(tmp_path: Path) -> None:
     ours, theirs = os.openpty()
     with serving(answer) as server, os.fdopen(ours, "rb", buffering=0) as terminal:
         model = ["--model", server.address, "--model-name", NAME, "--record", str(tmp_path / "kept")]
-        fly = ["run", "vanilla", "--world", "flat/empty", *model]
+        fly = ["run", "vanilla", "--world", "flat/empty", "--protocol", "dream-v1", *model]
         fly += ["--max-steps", "5", "--out", str(tmp_path / "runs")]
         code = "import sys; from dream.cli import main; main(sys.argv[1:])"
         environment = {**known, "TERM": "xterm", "COLUMNS": "300"}
@@ -1189,7 +1206,7 @@ def test_a_planner_that_had_nothing_to_ask_says_so(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with serving() as server:
-        model = ["--model", server.address, "--model-name", NAME, "--margin", "0"]
+        model = ["--protocol", "dream-v1", "--model", server.address, "--model-name", NAME, "--margin", "0"]
         assert run_command(["run", "ranked", *model, "--max-steps", "5", "--out", str(tmp_path)]) == 0
         assert not server.asked
     asked = f"  asked {NAME} at {server.address}: nothing, no choice was close enough\n"
@@ -1213,6 +1230,8 @@ def test_replies_that_were_kept_fly_the_same_mission_without_a_model(
         "vanilla",
         "--world",
         "flat/empty",
+        "--protocol",
+        "dream-v1",
         "--model",
         model,
         "--model-name",
@@ -1249,7 +1268,7 @@ def test_an_interrupted_mission_goes_on_with_what_was_kept(
 
     with serving(fitting) as server:
         model = ["--model", server.address, "--model-name", NAME, "--timeout", "20", "--record", kept]
-        fly = ["run", "vanilla", "--world", "flat/empty", *model]
+        fly = ["run", "vanilla", "--world", "flat/empty", "--protocol", "dream-v1", *model]
         fly += ["--max-steps", "6", "--out", str(tmp_path / "runs")]
         monkeypatch.setattr(Teleport, "go_to", interrupted)
         assert run_command(fly) == 1
@@ -1273,7 +1292,17 @@ def test_a_benchmark_hands_its_model_to_those_that_ask_and_writes_it_down(
     monkeypatch.setattr("dream.evaluation.engines.Processes", InProcess)
     with serving() as server:
         options = ["--model", server.address, "--model-name", NAME, "--latency", "9", "--timeout", "20"]
-        command = ["bench", "--world", "flat/empty", "--planners", "vanilla", "random", *options]
+        command = [
+            "bench",
+            "--world",
+            "flat/empty",
+            "--protocol",
+            "dream-v1",
+            "--planners",
+            "vanilla",
+            "random",
+            *options,
+        ]
         limits = ["--max-steps", "5", "--jobs", "1", "--max-calls", "1", "--json"]
         assert run_command([*command, *limits, "--out", str(tmp_path)]) == 0
         assert len(server.asked) == 1
@@ -1299,7 +1328,17 @@ def test_a_folder_holds_one_planner_with_several_models(
     with serving() as server:
         for label in ("one", "two"):
             options = ["--model", server.address, "--model-name", label, "--max-steps", "4", "--jobs", "1"]
-            fly = ["bench", "--world", "reef/string", "--planners", f"dream+{label}", *options, "--keep-runs"]
+            fly = [
+                "bench",
+                "--world",
+                "reef/string",
+                "--protocol",
+                "dream-v1",
+                "--planners",
+                f"dream+{label}",
+                *options,
+                "--keep-runs",
+            ]
             assert run_command([*fly, "--out", str(tmp_path)]) == 0
         assert {request.body["model"] for request in server.asked} == {"one", "two"}
     results = read_results(tmp_path)
@@ -1358,7 +1397,18 @@ def test_a_benchmark_says_of_each_mission_that_its_key_was_refused(
 ) -> None:
     with serving(error(401)) as server:
         options = ["--model", server.address, "--model-name", NAME, "--max-steps", "5", "--jobs", "1"]
-        fly = ["bench", "--world", "flat/empty", "--planners", "dream", *options, "--out", str(tmp_path)]
+        fly = [
+            "bench",
+            "--world",
+            "flat/empty",
+            "--protocol",
+            "dream-v1",
+            "--planners",
+            "dream",
+            *options,
+            "--out",
+            str(tmp_path),
+        ]
         assert run_command(fly) == 1
     complaint = capsys.readouterr().err.splitlines()[-1]
     assert "1 of 1 missions failed, first dream in flat/empty 1: " in complaint
@@ -1381,7 +1431,7 @@ def test_a_mission_without_its_model_is_not_kept_and_goes_on_without_paying_twic
     kept = str(tmp_path / "kept")
     with serving(answer) as server:
         options = ["--model", server.address, "--model-name", NAME, "--max-steps", "5", "--jobs", "1"]
-        fly = ["bench", "--world", "flat/empty", "--planners", "dream", *options]
+        fly = ["bench", "--world", "flat/empty", "--protocol", "dream-v1", "--planners", "dream", *options]
         fly += ["--out", str(tmp_path / "bench"), "--json"]
         going_on = ["--record", kept, "--replay-replies", kept]
         assert run_command([*fly, *going_on]) == 1

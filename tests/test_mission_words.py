@@ -111,7 +111,7 @@ def test_half_the_world_in_eighty_steps_from_words_to_the_end(
 def test_a_wreck_is_found_and_its_north_side_mapped_from_words_to_the_end(
     model: Server, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    file, world = tmp_path / "mission.json", ["--world", "wreck/1"]
+    file, world = tmp_path / "mission.json", ["--world", "wreck/1", "--protocol", "dream-v1"]
     will_say(model, NORTH)
     assert mission(model, NORTHERN, *world, "--out", str(file), "--yes") == 2
     assert "The labels of this world know one kind of target" in said(capsys)

@@ -421,7 +421,7 @@ def test_the_command_makes_a_folder_that_can_be_flown(
     assert said["patches"] == len(barge.world.targets)
     assert run_command(["worlds", "--check", str(folder)]) == 0
     assert "fit to fly" in capsys.readouterr().out
-    flown = ["run", "lawnmower", "--world", str(folder), "--max-steps", "2", "--out", str(tmp_path / "run")]
+    flown = ["run", "belief", "--world", str(folder), "--max-steps", "2", "--out", str(tmp_path / "run")]
     assert run_command([*flown, "--json"]) == 0
 
 

@@ -542,9 +542,9 @@ def _page(results: Results, comparison: Comparison) -> str:
         {
             "policy": f"default-src 'none'; img-src data:; base-uri 'none'; form-action 'none'; style-src "
             f"{digest(style)}",
-            "title": html.escape(f"{suite} · DREAM benchmark"),
+            "title": html.escape(f"{comparison.protocol} · {suite} · DREAM benchmark"),
             "style": style,
-            "heading": html.escape(suite),
+            "heading": html.escape(f"{comparison.protocol} · {suite}"),
             "how": html.escape(
                 f"protocol {comparison.protocol}, {comparison.horizon} steps at most, version "
                 f"{results.manifest['version']}, "
@@ -856,7 +856,7 @@ def _chapter(results: Results, left_out: Sequence[str], name: str) -> tuple[str,
     drawn = [(picture, "svg") for section in every for picture in section.pictures]
     shown = figures.shown_cases(comparison)
     parts = [
-        f"## {escape(str(results.manifest['suite']))}\n",
+        f"## {comparison.protocol} · {escape(str(results.manifest['suite']))}\n",
         *(f"> {escape(each)}\n" for each in (*left_out, *warnings(comparison))),
     ]
     for section in every:
