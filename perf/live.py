@@ -180,7 +180,7 @@ def main() -> int:
     parser.add_argument("--steps", type=int, default=60)
     parser.add_argument("--world", default="reef/string")
     options = parser.parse_args()
-    mission = ["--world", options.world, "--max-steps", str(options.steps)]
+    mission = ["--world", options.world, "--protocol", "dream-v1", "--max-steps", str(options.steps)]
     rng = np.random.default_rng(0)
     rounds: list[dict[str, Cost]] = []
     with contextlib.ExitStack() as stack:

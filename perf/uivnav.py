@@ -1,8 +1,8 @@
 """UIVNav beside blind baselines, and what noise does to it: figures of docs/results/uivnav.md.
 
-    dream bench test --planners uivnav random lawnmower --out bench/uivnav
+    dream bench test --protocol dream-v1 --planners uivnav random lawnmower --out bench/uivnav
     dream bench --world pool/arc --seeds 1001..1010 --planners uivnav random lawnmower --out bench/uivnav-pool
-    dream bench paper --planners uivnav --out bench/uivnav-paper
+    dream bench paper --protocol dream-v1 --planners uivnav --out bench/uivnav-paper
     python perf/uivnav.py early bench/uivnav                      targets per metre in the first steps
     python perf/uivnav.py early bench/uivnav-pool
     python perf/uivnav.py table bench/uivnav-paper results/paper  in the form of the paper's Table I

@@ -181,7 +181,7 @@ def check(wheel: Path, python: Path, folder: Path, *, lowest: bool) -> None:
     expect(benched.status == 0, "a benchmark", benched)
     check_page(place.here / "bench/report.html")
 
-    lacking = place.dream("run", "uivnav", "--max-steps", "8")
+    lacking = place.dream("run", "uivnav", "--protocol", "dream-v1", "--max-steps", "8")
     command = lacking.err.strip().partition("To add it: ")[2]
     right = (
         f"{place.env}/bin/python -m pip install 'onnxruntime" in command
@@ -190,7 +190,7 @@ def check(wheel: Path, python: Path, folder: Path, *, lowest: bool) -> None:
     expect(lacking.status == 2 and right and COMPILES not in lacking.err, "how to add an extra", lacking)
     added = run(["sh", "-c", command], place.here, installers())
     expect(added.status == 0, f"that this adds the extra: {command}", added)
-    flown = place.dream("run", "uivnav", "--max-steps", "8")
+    flown = place.dream("run", "uivnav", "--protocol", "dream-v1", "--max-steps", "8")
     expect(flown.status == 0, "a mission with the extra", flown)
     left = sorted(path.name for path in place.here.iterdir())
     if left != ["bench", "reef.png", "runs"]:

@@ -122,7 +122,7 @@ def test_orders_in_words_without_a_terminal_are_told_to_need_yes_at_once(
     ("module", "words", "extra"),
     [
         ("onnxruntime", ["run", "uivnav"], "learned"),
-        ("onnxruntime", ["bench", "--planners", "belief", "uivnav"], "learned"),
+        ("onnxruntime", ["bench", "--protocol", "dream-v1", "--planners", "belief", "uivnav"], "learned"),
         ("onnxruntime", ["dive", "uivnav", "--stand-in", "--unattended"], "learned"),
         ("pydantic_ai", ["dive", "ranked", "--model", "wire", "--stand-in", "--unattended"], "vlm"),
         ("pydantic_ai", ["bench", "--planners", "ranked", "--model", "wire"], "vlm"),

@@ -355,7 +355,7 @@ def test_a_planner_that_asks_a_model_is_chosen_and_explained_without_its_client_
         (["run", "random", "--walk-seed", "-1"], "--walk-seed: expected 0 to"),
         (["run", "--protocol", "pool-v1"], "reef/string is made for dream-v1"),
         (["bench", "paper", "--jobs", "0"], "--jobs: expected at least 1, got 0"),
-        (["bench", "paper", "--max-steps", "0"], "--max-steps: expected 1 to 10000"),
+        (["bench", "paper", "--max-steps", "0"], "--max-steps: expected 1 to 10000, got 0"),
         (["bench", "paper", "--planners"], "--planners: expected one or more of"),
         (["bench", "paper", "--planners", "random", "random"], "--planners: expected each once"),
         (
@@ -1032,7 +1032,7 @@ def test_a_run_tells_what_asking_came_to(tmp_path: Path, capsys: pytest.CaptureF
     address = read_config(tmp_path / "latest").planner_parameters["model"]
     said = re.escape(f"  asked {NAME} at {address}: 4 calls, 440 tokens, at an unknown price, ")
     assert re.search(rf"{said}\d+\.\d s an answer, waited 48 s of \d+ s\n", printed), printed
-    assert "  1 of 3 questions were decided by belief (invalid 1); its answers: 2 followed\n" in printed
+    assert "  1 of 3 questions were decided by geometry (invalid 1); its answers: 2 followed\n" in printed
     assert "  its last word: " in printed
     assert "wire test" not in printed
     kept = [len(read_exchanges(tmp_path / "latest", step)) for step in range(7)]
@@ -1139,9 +1139,9 @@ def test_the_first_answer_that_does_not_count_is_told_at_once_and_whose_word_the
     assert ask([fitting, error(418)], tmp_path)[0] == 0
     (told,) = caplog.messages
     assert told.startswith(f"step 5: {NAME} at http://127.0.0.1:")
-    assert "(server: HTTP 418: denied to key ...); belief decides there and wherever none comes" in told
+    assert "(server: HTTP 418: denied to key ...); geometry decides there and wherever none comes" in told
     printed = capsys.readouterr().out
-    assert "  2 of 3 questions were decided by belief (server 2); its answers: 1 followed\n" in printed
+    assert "  2 of 3 questions were decided by geometry (server 2); its answers: 1 followed\n" in printed
     assert "  belief's last word: " in printed
 
 
@@ -1154,7 +1154,7 @@ def test_a_run_of_which_no_answer_counted_says_so_wherever_it_is_told_and_fails(
     lacked = "step_m: Field required"
     (told,) = [line for line in printed.err.splitlines() if "no answer of" in line]
     assert told.startswith(f"dream: no answer of {NAME} at http://127.0.0.1")
-    assert "counted: belief decided all 3 questions, so that nothing here shows what the model can" in told
+    assert "counted: geometry decided all 3 questions, so that nothing here shows what the model can" in told
     assert told.endswith(f"The last had none because of invalid: {lacked}, asked twice")
     summary = json.loads(printed.out)
     assert summary["vlm"]["last_fallback"] == f"invalid: {lacked}, asked twice"

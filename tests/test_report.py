@@ -456,7 +456,7 @@ def test_a_browser_shows_what_a_model_saw_and_said(asked: Path, tmp_path: Path) 
         "1,098", "1098"
     )
     assert (
-        "4 of 900 questions decided by belief (invalid 1, timeout 3), its answers: 600 followed, "
+        "4 of 900 questions decided by geometry (invalid 1, timeout 3), its answers: 600 followed, "
         "296 overruled, waited 19.6 min of 25.0 min"
     ) in total
     panel = dom[dom.index('id="asked-panel"') : dom.index('id="curve-title"')]

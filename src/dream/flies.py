@@ -27,5 +27,5 @@ def check_flies(planner: object, protocol: SurveyProtocol) -> None:
         how = "in space" if in_space else "at one altitude"
         raise ValueError(
             f"planner: expected one that flies {how}, as {protocol.name} does, such as {AT_HAND[in_space]}; "
-            f"got {type(planner).__name__}" + (". Choose the protocol dream-v1 for it" if in_space else "")
+            f"got {type(planner).__name__}" + (". Say --protocol dream-v1" if in_space else "")
         )

@@ -37,6 +37,7 @@ from dream.evaluation.sealed import (
     write_blocks,
 )
 from dream.evaluation.suites import SEALED_FAMILIES, SEALED_PROTOCOL, SEALED_STEPS, SUITES, Case
+from dream.protocol import DREAM_V2
 from dream.sim.habitats.arena import MOST_STEPS
 from dream.sim.worlds import WORLDS, make_world
 from tests.engines import InProcess
@@ -313,11 +314,13 @@ def test_options_of_a_sealed_test_go_with_it_alone(
 
 @pytest.mark.usefixtures("run")
 def test_all_blocks_are_flown_by_the_same_rules_whichever_world_comes_first(
-    capsys: pytest.CaptureFixture[str],
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    # The first world is made for dream-v1, under which this planner flies.
+    assert DREAM_V2.name == SEALED_PROTOCOL
+    monkeypatch.setattr("dream.evaluation.suites.SEALED_PROTOCOL", "dream-v2-true")
+    # No world is made for that one.
     assert run_command(["bench", "sealed", "--key", "key", "--planners", "random"]) == 2
-    assert f"as {SEALED_PROTOCOL} does" in capsys.readouterr().err
+    assert "as dream-v2-true does" in capsys.readouterr().err
 
 
 def test_a_folder_holds_one_key_the_next_blocks_and_nothing_else(

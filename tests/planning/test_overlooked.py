@@ -218,7 +218,7 @@ def test_what_stands_up_is_to_be_looked_at_from_four_sides() -> None:
     assert found[-1] < SEARCHED
 
 
-def test_pieces_that_no_group_fits_into_are_looked_at_last_beside_one_that_it_does() -> None:
+def test_small_pieces_are_looked_at_last_beside_a_large_one() -> None:
     volume, frame = water(), looking(0.0, 0.0, 0.0)
     occupancy = OccupancyMap(BOUNDS, ERRING)
     occupancy.volume = volume
@@ -242,5 +242,5 @@ def test_pieces_that_no_group_fits_into_are_looked_at_last_beside_one_that_it_do
     assert not beside.doubted[large]
     beside.left[small] = 1.0
     assert beside.from_above(occupancy).unseen[small] == np.float32(DOUBTED)
-    # No wider than labels are wrong in one piece, a group is not known by its size.
+    # No wider than a piece of wrong labels, a group is not known by its size.
     assert not taken(0.4).doubted.any()

@@ -49,11 +49,11 @@ class Flying:
 
     planners: First[Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="PLANNER ...")]] = None
     """Names of planners. NAME+LABEL is one that asks a model, so that a folder holds several models. Unless
-    given, those that ask none and find reefs and wrecks alike: belief, greedy, sixsteps; in the plane all."""
+    given, belief, greedy and sixsteps; in the plane all that need no model and no network."""
     asking: Asking = field(default_factory=Asking)
     """For those of the planners that ask a model."""
     max_steps: int | None = None
-    """Steps at most in a mission. Unless given, the cap of the protocol; more is not allowed."""
+    """Steps at most in a mission. Unless given, the cap of the protocol; more is not flown."""
     jobs: First[int | None] = None
     """Missions at a time. Unless given, one for each processor."""
     engine: Literal["process", "ray"] = "process"
@@ -77,8 +77,8 @@ class Flying:
             raise ValueError(f"--planners: expected each once, got {' '.join(names)}")
         chosen = self._with_their_model(chosen)
         for planner in chosen.values():
-            check_installed(planner)
             check_flies(planner, protocol)
+            check_installed(planner)
         return chosen
 
     def _with_their_model(self, chosen: dict[str, AnyPlanner]) -> dict[str, AnyPlanner]:

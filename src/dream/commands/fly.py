@@ -52,7 +52,8 @@ class Fly:
     out: First[Path] = Path("runs")
     """Folder in which the run's own folder is made."""
     max_steps: First[int | None] = None
-    """Steps at most, that is decisions carried out. Unless given, the cap of the protocol: 200."""
+    """Steps at most, that is decisions carried out. Unless given, the cap of the protocol: 300 or
+    more, by the area; 200 in the plane."""
     protocol: First[str | None] = None
     """Rules of the survey: sensors, reach and cap. Unless given, dream-v2; those of the pool for a tank."""
     name: First[str | None] = None
@@ -193,7 +194,7 @@ class Fly:
         return engine.status[0]
 
     def _plan(self, called: str, folder: Path) -> Plan:
-        """Its one mission, by the rules of the missions that are in the folder."""
+        """Its one mission."""
         from dream.evaluation.results import read_manifest
         from dream.evaluation.runner import Plan
         from dream.evaluation.suites import named_case, saved_case

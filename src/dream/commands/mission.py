@@ -86,7 +86,10 @@ class Mission:
             print_json(written(orders))
         else:
             print(f"written: {self.out}, and {picture}, in which its areas are drawn")
-            print(f"to fly it: dream run --mission {self.out} --world {self.world} --seed {self.seed}")
+            print(
+                f"to fly it: dream run --mission {self.out} --world {self.world} --seed {self.seed} "
+                f"--protocol {protocol.name}"
+            )
         return 0
 
     def _check_new(self, picture: Path, orders: Orders | None = None) -> None:

@@ -71,7 +71,8 @@ class Oracle:
     start: int = 0
     """Which of the world's start poses, counted from 0."""
     protocol: str | None = None
-    """Rules of the survey: sensors, reach and cap. Unless given, those that the world is made for."""
+    """Rules of the survey: sensors, reach and cap. Unless given, those that the world is made
+    for, which of most worlds is dream-v1, the plane."""
     budget: First[float] = 60.0
     """Seconds of processor time for a world, without compiling. 0 only tells what is known."""
     picture: First[Path | None] = None

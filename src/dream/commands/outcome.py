@@ -115,7 +115,7 @@ def _warned(step: Step) -> bool:
     if silent is None:
         return False
     logger.warning(
-        "step %d: %s gave no answer that counts (%s); belief decides there and wherever none comes",
+        "step %d: %s gave no answer that counts (%s); geometry decides there and wherever none comes",
         step.index,
         silent.model,
         silent.fallback,
@@ -219,7 +219,7 @@ def _decided(vlm: Mapping[str, Any]) -> str:
     """Whose word counted, in a line."""
     reasons = ", ".join(f"{reason} {times}" for reason, times in vlm["reasons"].items())
     outcomes = ", ".join(f"{times} {outcome}" for outcome, times in vlm["outcomes"].items())
-    said = [f"{vlm['fallbacks']} of {vlm['questions']} questions were decided by belief ({reasons})"] * bool(
-        reasons
-    )
+    said = [
+        f"{vlm['fallbacks']} of {vlm['questions']} questions were decided by geometry ({reasons})"
+    ] * bool(reasons)
     return "; ".join([*said, *([f"its answers: {outcomes}"] if outcomes else [])])

@@ -85,7 +85,7 @@ class Replay:
             raise ValueError(
                 f"--planner: expected a run with its observations, got one without: by {self.planner} it "
                 f"would be another mission. Say: dream run {self.planner} --world {record.world_name} "
-                f"--seed {record.config.seed}"
+                f"--seed {record.config.seed} --protocol {record.config.protocol}"
             )
         planner = answering(planner, self.replay_replies)
         check_installed(planner)

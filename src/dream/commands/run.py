@@ -24,6 +24,7 @@ from dream.commands.mission import check_terminal, confirmed, draw_orders, given
 from dream.commands.outcome import fly_to_end, tell_outcome, write_scene_of
 from dream.commands.progress import stage
 from dream.commands.swim import Swim
+from dream.flies import check_flies
 from dream.options import First
 from dream.own_code import own_planner
 from dream.planning import PLANNERS, AnyPlanner, check_installed, planner_name
@@ -65,7 +66,8 @@ class Run:
     out: First[Path] = Path("runs")
     """Folder in which the run's own folder is made."""
     max_steps: First[int | None] = None
-    """Steps at most, that is decisions carried out. Unless given, the cap of the protocol: 200."""
+    """Steps at most, that is decisions carried out. Unless given, the cap of the protocol: 300 or
+    more, by the area; 200 in the plane."""
     protocol: First[str | None] = None
     """Rules of the survey: sensors, reach and cap. Unless given, dream-v2; those of the pool for a tank."""
     mission: First[str | None] = None
@@ -118,6 +120,7 @@ class Run:
                 with stage(f"opening {self.world} {self.seed}"):
                     world = open_world(self.world, self.seed)
                 protocol = protocol_in(world, self.protocol)
+                check_flies(self.planner, protocol)
                 check_max_steps(self.max_steps, protocol)
                 swimming = self.swim.chosen(protocol)
                 name = planner_name(self.planner)

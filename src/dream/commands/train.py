@@ -29,7 +29,7 @@ class Train:
     would turn which way, and a student learns to say the same. Then the student flies, the teacher says what
     it would have done there, and a new student learns from all of it: once for each of the --rounds. All
     students fly trials on other reefs, and the best is kept: `uivnav.onnx`, and `uivnav.json`, its card. Try
-    it with `dream run uivnav --weights train/uivnav.onnx`.
+    it with `dream run uivnav --protocol dream-v1 --weights train/uivnav.onnx`.
 
     With its defaults it makes the network that comes with DREAM, in some minutes on two cores. It
     never learns from a world of a suite. After an interruption the same command goes on.

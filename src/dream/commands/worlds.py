@@ -106,9 +106,9 @@ class Worlds:
         else:
             print("\n".join(WORLDS))
             print("\nAny seed makes another of each.")
-            print("Reefs from reef/mound on are of dream-v2, all others of dream-v1.")
+            print("Reefs from reef/mound on are made for dream-v2, all others for dream-v1.")
             print("reef/string+1y1 is reef/string 1 year on, in the first of its fates; so with all reefs")
-            print("of dream-v1.")
+            print("made for dream-v1.")
             print("wreck/2+wreck/3 are two wrecks side by side; so with all wrecks.")
             print("wreck/4+reef/patch is a wreck with a reef around it; so with all wrecks and those reefs.")
         return 0

@@ -403,7 +403,7 @@ def without_answer(vlm: Mapping[str, Any] | None) -> str:
         return ""
     last = vlm["last_fallback"].rstrip(".… ")
     return (
-        f"no answer of {vlm['model']} counted: belief decided all {vlm['questions']} questions, so that "
+        f"no answer of {vlm['model']} counted: geometry decided all {vlm['questions']} questions, so that "
         f"nothing here shows what the model can do. The last had none because of {last}"
     )
 

@@ -484,9 +484,8 @@ class Plan:
         # In space each world has a cap of its own, which no mission goes beyond.
         most = self.protocol.cap if self.protocol.space is None else MAX_STEPS
         if self.max_steps is not None and not 1 <= self.max_steps <= most:
-            raise ValueError(
-                f"--max-steps: expected 1 to {most}, the cap of {self.protocol.name}, got {self.max_steps}"
-            )
+            cap = f", the cap of {self.protocol.name}" if self.protocol.space is None else ""
+            raise ValueError(f"--max-steps: expected 1 to {most}{cap}, got {self.max_steps}")
 
     def __len__(self) -> int:
         return len(self.cases) * len(self.planners)

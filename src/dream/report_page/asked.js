@@ -23,7 +23,7 @@ const outcomes = (vlm) => Object.entries(vlm.outcomes ?? {}).map(([outcome, time
 
 // Whose word counted.
 function decided(vlm) {
-  const by = known(vlm.questions) && vlm.fallbacks > 0 ? `${vlm.fallbacks} of ${plural(vlm.questions, "question")} decided by belief` : plural(vlm.fallbacks, "fallback");
+  const by = known(vlm.questions) && vlm.fallbacks > 0 ? `${vlm.fallbacks} of ${plural(vlm.questions, "question")} decided by geometry` : plural(vlm.fallbacks, "fallback");
   const answers = outcomes(vlm);
   return `${by}${reasons(vlm)}${answers ? `, its answers: ${answers}` : ""}`;
 }

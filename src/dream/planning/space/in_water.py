@@ -68,7 +68,7 @@ class InWater:
     told: BoolArray = field(init=False)
     """(rows, cols) where labels tell that there are targets."""
     doubted: BoolArray = field(init=False)
-    """(rows, cols) where they do, but on a piece of ground that no group fits into."""
+    """(rows, cols) where they do, but on a piece of ground that is smaller than `GROUP` says."""
     left: Float32Array = field(init=False)
     """(rows, cols) share of the individuals in each cell that is expected not to be inspected."""
 
@@ -110,9 +110,9 @@ class InWater:
         self.left = np.where(occupancy.seen, np.maximum(self.overlooked.share, sides), 1.0).astype(np.float32)
 
     def _doubted(self) -> BoolArray:
-        """Pieces of ground that are told to be target and too small for any group, beside one that is not.
+        """Pieces of ground that are told to be target and small, beside one that is not.
 
-        Where the least group is no wider than what labels are wrong of in one piece, sizes tell nothing.
+        Where the least group is no wider than a piece of wrong labels, sizes tell nothing.
         """
         from scipy.ndimage import label
 
@@ -139,17 +139,17 @@ class InWater:
             hiding: Middles of discs of the radius `HOLE` in which nothing was searched.
             occupancy: The map itself.
         """
-        return self.holes(hiding, occupancy) <= LEFT and self.missed(occupancy) <= MISSED
+        return self.share_in_holes(hiding, occupancy) <= LEFT and self.missed(occupancy) <= MISSED
 
     def in_words(self, hiding: BoolArray, occupancy: OccupancyMap) -> str:
         """What is left when the search ends; see `enough`."""
-        holes, missed = self.holes(hiding, occupancy), self.missed(occupancy)
+        holes, missed = self.share_in_holes(hiding, occupancy), self.missed(occupancy)
         return (
             f"{holes:.1%} of the ground that can be seen lies in holes wider than {2.0 * HOLE:g} m, and "
             f"{missed:.1%} of all individuals are expected to be missed."
         )
 
-    def holes(self, hiding: BoolArray, occupancy: OccupancyMap) -> float:
+    def share_in_holes(self, hiding: BoolArray, occupancy: OccupancyMap) -> float:
         """Share of the ground that can be seen, was not, and lies in holes; see `enough`."""
         left = within(hiding, HOLE, self.protocol.cell) & ~occupancy.observed
         return np.count_nonzero(left) / max(1, int(np.count_nonzero(occupancy.to_see)))

@@ -68,7 +68,7 @@ class OverGround:
         if self.mission.target is Target.WRECK:
             raise ValueError(
                 "target: expected oysters, or anything, of a planner that searches the ground in lanes or by "
-                "views from above; got a wreck. Fly belief, or orbits"
+                "views from above; got a wreck. Fly belief, or orbits; or by --protocol dream-v1"
             )
         self.water = InWater(self.mission)
         self.pilot = self.in_plane(self.water.in_plane)
@@ -89,5 +89,6 @@ class OverGround:
         if decision.done:
             decision = self.pilot.decide(observation, near)
         if decision.done:
-            return decision
+            words = self.water.in_words(expected.hiding, occupancy)
+            return replace(decision, reasoning=replace(decision.reasoning, completion=words))
         return replace(self.water.moved(decision, observation, occupancy), reasoning=decision.reasoning)
