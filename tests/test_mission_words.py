@@ -32,6 +32,8 @@ from tests.model_server import NAME, Server, serving
 from tests.planning.flights import observed_at
 from tests.planning.vlm.worded import BOX, NORTH, NORTHERN, ORDERS, WEST, WESTERN, leg, reply, will_say
 
+PLANE = ("--protocol", "dream-v1")
+
 
 @pytest.fixture
 def model() -> Iterator[Server]:
@@ -70,7 +72,7 @@ def test_half_the_world_in_eighty_steps_from_words_to_the_end(
 ) -> None:
     will_say(model, {**WEST, "left_out": "nothing\x1b[2J"})
     file = tmp_path / "mission.json"
-    assert mission(model, WESTERN, "--world", "reef/string", "--out", str(file), "--yes") == 0
+    assert mission(model, WESTERN, "--world", "reef/string", *PLANE, "--out", str(file), "--yes") == 0
     told = said(capsys)
     assert "1. Map all targets in the western half of the survey area." in told
     assert "At most 80 steps in all." in told
@@ -80,7 +82,9 @@ def test_half_the_world_in_eighty_steps_from_words_to_the_end(
         assert (np.asarray(picture) == OUTLINE).all(axis=-1).any()
 
     runs = tmp_path / "runs"
-    assert run_command(["run", "lawnmower", "--mission", str(file), "--out", str(runs), "--json"]) == 0
+    assert (
+        run_command(["run", "lawnmower", *PLANE, "--mission", str(file), "--out", str(runs), "--json"]) == 0
+    )
     summary = json.loads(capsys.readouterr().out)
     assert summary["steps"] <= 80
     (leg_flown,) = summary["legs"]
@@ -111,7 +115,7 @@ def test_half_the_world_in_eighty_steps_from_words_to_the_end(
 def test_a_wreck_is_found_and_its_north_side_mapped_from_words_to_the_end(
     model: Server, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    file, world = tmp_path / "mission.json", ["--world", "wreck/1", "--protocol", "dream-v1"]
+    file, world = tmp_path / "mission.json", ["--world", "wreck/1", *PLANE]
     will_say(model, NORTH)
     assert mission(model, NORTHERN, *world, "--out", str(file), "--yes") == 2
     assert "The labels of this world know one kind of target" in said(capsys)

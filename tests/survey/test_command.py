@@ -332,7 +332,10 @@ def test_a_run_with_a_site_is_measured_and_kept(two: Path, capsys: pytest.Captur
     site = Site("Inner reef", 54.9, 8.3, heading_deg=20.0)
     write_site(site, two / "reef.json")
     assert read_site(two / "reef.json") == site
-    said("run belief --world reef/string --max-steps 12 --site reef.json --out runs", capsys)
+    said(
+        "run belief --world reef/string --protocol dream-v1 --max-steps 12 --site reef.json --out runs",
+        capsys,
+    )
     run = next(path for path in (two / "runs").iterdir() if not path.is_symlink())
     assert read_site(run / "site.json") == site
     # A first look before all of them.

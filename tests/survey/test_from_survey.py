@@ -83,7 +83,10 @@ def test_a_simulated_year_is_a_year_between_two_surveys(
 
 def flown(out: Path, words: str, steps: int = STEPS) -> Path:
     """The folder of a short mission."""
-    assert run_command(f"run {words} --max-steps {steps} --out {out}/runs --json".split()) == 0
+    assert (
+        run_command(f"run {words} --protocol dream-v1 --max-steps {steps} --out {out}/runs --json".split())
+        == 0
+    )
     return out / "runs" / (out / "runs/latest").readlink()
 
 
@@ -140,7 +143,7 @@ def test_the_number_is_looked_up_in_the_archive_that_is_named_else_in_that_of_th
 ) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.delenv(VARIABLE, raising=False)
-    ask = f"run --world {LATER} --from-survey 1 --max-steps 1 --out runs"
+    ask = f"run --world {LATER} --protocol dream-v1 --from-survey 1 --max-steps 1 --out runs"
     assert "surveys.gpkg: expected an archive of surveys, got no file" in complaint(ask, capsys)
     monkeypatch.setenv(VARIABLE, str(surveyed.archive))
     assert run_command(f"{ask} --json".split()) == 0
