@@ -44,6 +44,9 @@ class Nearby:
     Assumes: nothing. Fails when: groups lie far apart; it looks one view ahead only.
     """
 
+    spatial: ClassVar[bool] = True
+    """That it flies under protocols that move in space, too: over the ground, as `OverGround` says."""
+
     beside: float = 2.0
     """Metres from known targets within which more are expected."""
     elsewhere: float = 0.1
@@ -55,9 +58,6 @@ class Nearby:
         check_range("beside", self.beside, 0.0, 50.0)
         check_range("elsewhere", self.elsewhere, 0.0, 1.0)
         check_range("least_steps", self.least_steps, 0, 10_000)
-
-    spatial: ClassVar[bool] = True
-    """That it flies under protocols that move in space, too: over the ground, as `OverGround` says."""
 
     def begin(self, mission: Mission) -> NearbyPilot | OverGround:
         """What decides during one mission, and remembers what it must."""

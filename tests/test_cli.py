@@ -52,6 +52,7 @@ from tests.recorded_runs import Disk
 
 pytestmark = pytest.mark.usefixtures("worlds_are_made_once")
 
+PLANE = ("--protocol", "dream-v1")
 SUMMARY_KEYS = {
     *("protocol", "world", "seed", "world_hash", "planner", "ended", "steps", "t_stop", "t_claimed"),
     *("t90", "t95", "t98", "t100", "coverage", "collisions", "distance_m", "turns", "min_clearance_m"),
@@ -619,8 +620,7 @@ def test_what_fails_in_a_planner_of_ones_own_is_told_by_its_line_and_kept_whole(
                 str(file),
                 "--world",
                 "flat/empty",
-                "--protocol",
-                "dream-v1",
+                *PLANE,
                 "--out",
                 str(tmp_path / "runs"),
             ]
@@ -727,7 +727,7 @@ def test_a_run_says_once_that_it_compiles(
 def test_a_run_prints_how_it_ended_and_what_its_planner_said_last(
     planner: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    options = ["--protocol", "dream-v1", "--max-steps", "5", "--out", str(tmp_path)]
+    options = [*PLANE, "--max-steps", "5", "--out", str(tmp_path)]
     assert run_command(["run", planner, *options]) == 0
     printed = capsys.readouterr().out
     assert "\n  out of steps after 5 steps\n" in printed
@@ -1012,8 +1012,7 @@ def ask(script: list[Response | Answer], out: Path, *options: str) -> tuple[int,
             "vanilla",
             "--world",
             "flat/empty",
-            "--protocol",
-            "dream-v1",
+            *PLANE,
             *model,
             "--max-steps",
             "6",
@@ -1053,7 +1052,7 @@ def test_nothing_breaks_into_the_progress_of_a_run(tmp_path: Path) -> None:
     ours, theirs = os.openpty()
     with serving(answer) as server, os.fdopen(ours, "rb", buffering=0) as terminal:
         model = ["--model", server.address, "--model-name", NAME, "--record", str(tmp_path / "kept")]
-        fly = ["run", "vanilla", "--world", "flat/empty", "--protocol", "dream-v1", *model]
+        fly = ["run", "vanilla", "--world", "flat/empty", *PLANE, *model]
         fly += ["--max-steps", "5", "--out", str(tmp_path / "runs")]
         code = "import sys; from dream.cli import main; main(sys.argv[1:])"
         environment = {**known, "TERM": "xterm", "COLUMNS": "300"}
@@ -1206,7 +1205,7 @@ def test_a_planner_that_had_nothing_to_ask_says_so(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with serving() as server:
-        model = ["--protocol", "dream-v1", "--model", server.address, "--model-name", NAME, "--margin", "0"]
+        model = [*PLANE, "--model", server.address, "--model-name", NAME, "--margin", "0"]
         assert run_command(["run", "ranked", *model, "--max-steps", "5", "--out", str(tmp_path)]) == 0
         assert not server.asked
     asked = f"  asked {NAME} at {server.address}: nothing, no choice was close enough\n"
@@ -1230,8 +1229,7 @@ def test_replies_that_were_kept_fly_the_same_mission_without_a_model(
         "vanilla",
         "--world",
         "flat/empty",
-        "--protocol",
-        "dream-v1",
+        *PLANE,
         "--model",
         model,
         "--model-name",
@@ -1268,7 +1266,7 @@ def test_an_interrupted_mission_goes_on_with_what_was_kept(
 
     with serving(fitting) as server:
         model = ["--model", server.address, "--model-name", NAME, "--timeout", "20", "--record", kept]
-        fly = ["run", "vanilla", "--world", "flat/empty", "--protocol", "dream-v1", *model]
+        fly = ["run", "vanilla", "--world", "flat/empty", *PLANE, *model]
         fly += ["--max-steps", "6", "--out", str(tmp_path / "runs")]
         monkeypatch.setattr(Teleport, "go_to", interrupted)
         assert run_command(fly) == 1
@@ -1292,17 +1290,7 @@ def test_a_benchmark_hands_its_model_to_those_that_ask_and_writes_it_down(
     monkeypatch.setattr("dream.evaluation.engines.Processes", InProcess)
     with serving() as server:
         options = ["--model", server.address, "--model-name", NAME, "--latency", "9", "--timeout", "20"]
-        command = [
-            "bench",
-            "--world",
-            "flat/empty",
-            "--protocol",
-            "dream-v1",
-            "--planners",
-            "vanilla",
-            "random",
-            *options,
-        ]
+        command = ["bench", "--world", "flat/empty", *PLANE, "--planners", "vanilla", "random", *options]
         limits = ["--max-steps", "5", "--jobs", "1", "--max-calls", "1", "--json"]
         assert run_command([*command, *limits, "--out", str(tmp_path)]) == 0
         assert len(server.asked) == 1
@@ -1332,8 +1320,7 @@ def test_a_folder_holds_one_planner_with_several_models(
                 "bench",
                 "--world",
                 "reef/string",
-                "--protocol",
-                "dream-v1",
+                *PLANE,
                 "--planners",
                 f"dream+{label}",
                 *options,
@@ -1401,8 +1388,7 @@ def test_a_benchmark_says_of_each_mission_that_its_key_was_refused(
             "bench",
             "--world",
             "flat/empty",
-            "--protocol",
-            "dream-v1",
+            *PLANE,
             "--planners",
             "dream",
             *options,
@@ -1431,7 +1417,7 @@ def test_a_mission_without_its_model_is_not_kept_and_goes_on_without_paying_twic
     kept = str(tmp_path / "kept")
     with serving(answer) as server:
         options = ["--model", server.address, "--model-name", NAME, "--max-steps", "5", "--jobs", "1"]
-        fly = ["bench", "--world", "flat/empty", "--protocol", "dream-v1", "--planners", "dream", *options]
+        fly = ["bench", "--world", "flat/empty", *PLANE, "--planners", "dream", *options]
         fly += ["--out", str(tmp_path / "bench"), "--json"]
         going_on = ["--record", kept, "--replay-replies", kept]
         assert run_command([*fly, *going_on]) == 1

@@ -17,7 +17,7 @@ from dream.planning.space.overlooked import MISSED as MISSES
 from dream.planning.space.overlooked import PARTS, Overlooked
 from dream.protocol import DREAM_V2 as ERRING
 from dream.protocol import DREAM_V2_TRUE as PROTOCOL
-from dream.types import Observation
+from dream.types import Decision, Observation
 from tests.planning.standing import BOUNDS, SEABED, middles_in, mission, observed, solid, vote, water
 
 Array = np.ndarray[Any, Any]
@@ -174,7 +174,9 @@ def test_it_ends_when_little_ground_is_unseen_and_little_is_missed(searched: tup
     words = (
         f"{left:.1%} of the ground that can be seen lies in holes wider than 1 m, and 0.2% of all individuals"
     )
-    assert over.in_words(hiding, occupancy).startswith(words)
+    told = over.ended(Decision(done=True), hiding, occupancy)
+    assert told.done
+    assert told.reasoning.completion.startswith(words)
     occupancy.observed[-side:, -side:] = True
     assert over.enough(hiding, occupancy)
 

@@ -61,6 +61,5 @@ class GroundSearch:
             thought = replace(thought, plan=None, why=ENOUGH)
         decision = self.pilot.act(thought, thought.plan)
         if decision.done:
-            words = self.water.in_words(hiding, occupancy)
-            return replace(decision, reasoning=replace(decision.reasoning, completion=words))
+            return self.water.ended(decision, hiding, occupancy)
         return replace(self.water.moved(decision, observation, occupancy), reasoning=decision.reasoning)

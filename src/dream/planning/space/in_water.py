@@ -116,15 +116,13 @@ class InWater:
         """
         from scipy.ndimage import label
 
-        protocol = self.protocol
-        pieces, _ = label(self.told, np.ones((3, 3)))
-        small = (
-            np.bincount(pieces.reshape(-1)) < GROUP * math.pi * (protocol.group_radius / protocol.cell) ** 2
-        )
-        small[0] = True
-        if small.all() or protocol.lasting is None or 2.0 * protocol.group_radius <= protocol.lasting.blob[1]:
+        lasting, radius = self.protocol.lasting, self.protocol.group_radius
+        if lasting is None or 2.0 * radius <= lasting.blob[1]:
             return np.zeros_like(self.told)
-        return np.asarray(self.told & small[pieces])
+        pieces, _ = label(self.told, np.ones((3, 3)))
+        small = np.bincount(pieces.reshape(-1)) < GROUP * math.pi * (radius / self.protocol.cell) ** 2
+        small[0] = True  # What is not told.
+        return np.zeros_like(self.told) if small.all() else np.asarray(self.told & small[pieces])
 
     def from_above(self, occupancy: OccupancyMap) -> OccupancyMap:
         """The map to a pilot of the plane, to be read until the map changes."""
@@ -141,13 +139,14 @@ class InWater:
         """
         return self.share_in_holes(hiding, occupancy) <= LEFT and self.missed(occupancy) <= MISSED
 
-    def in_words(self, hiding: BoolArray, occupancy: OccupancyMap) -> str:
-        """What is left when the search ends; see `enough`."""
+    def ended(self, decision: Decision, hiding: BoolArray, occupancy: OccupancyMap) -> Decision:
+        """A decision to be done that says what is left; see `enough`."""
         holes, missed = self.share_in_holes(hiding, occupancy), self.missed(occupancy)
-        return (
+        words = (
             f"{holes:.1%} of the ground that can be seen lies in holes wider than {2.0 * HOLE:g} m, and "
             f"{missed:.1%} of all individuals are expected to be missed."
         )
+        return replace(decision, reasoning=replace(decision.reasoning, completion=words))
 
     def share_in_holes(self, hiding: BoolArray, occupancy: OccupancyMap) -> float:
         """Share of the ground that can be seen, was not, and lies in holes; see `enough`."""

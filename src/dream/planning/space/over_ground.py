@@ -80,8 +80,8 @@ class OverGround:
         near = self.water.from_above(occupancy)
         expected = self.judge.expect(self.judge.take(observation, near))
         if self.water.enough(expected.hiding, occupancy):
-            words = self.water.in_words(expected.hiding, occupancy)
-            return Decision(done=True, reasoning=Reasoning(action=ENOUGH, completion=words))
+            done = Decision(done=True, reasoning=Reasoning(action=ENOUGH))
+            return self.water.ended(done, expected.hiding, occupancy)
         out = self.water.into_the_open(observation, near)
         if out is not None:
             return out
@@ -89,6 +89,5 @@ class OverGround:
         if decision.done:
             decision = self.pilot.decide(observation, near)
         if decision.done:
-            words = self.water.in_words(expected.hiding, occupancy)
-            return replace(decision, reasoning=replace(decision.reasoning, completion=words))
+            return self.water.ended(decision, expected.hiding, occupancy)
         return replace(self.water.moved(decision, observation, occupancy), reasoning=decision.reasoning)
