@@ -244,5 +244,10 @@ def test_small_pieces_are_looked_at_last_beside_a_large_one() -> None:
     assert not beside.doubted[large]
     beside.left[small] = 1.0
     assert beside.from_above(occupancy).unseen[small] == np.float32(DOUBTED)
+    # What may go on where nothing was seen has no size yet.
+    piece = np.nonzero(beside.doubted)
+    known = occupancy.seen.copy()
+    known[piece[0].max() + 1, piece[1].max()] = False
+    assert not beside._doubted(known).any()
     # No wider than a piece of wrong labels, a group is not known by its size.
     assert not taken(0.4).doubted.any()

@@ -104,25 +104,30 @@ class InWater:
             for part in (np.where(occupancy.seen, share.reshape(occupancy.shape), 0.0), occupancy.seen)
         )
         self.told = np.asarray(occupancy.seen & (target >= TOLD * np.maximum(seen, 1e-6)))
-        self.doubted = self._doubted()
+        self.doubted = self._doubted(occupancy.seen)
         # What stands up shows no side that nobody looked at.
         sides = np.where(occupancy.solid, np.maximum(1.0 - self.overlooked.parts / STANDS, 0.0), 0.0)
         self.left = np.where(occupancy.seen, np.maximum(self.overlooked.share, sides), 1.0).astype(np.float32)
 
-    def _doubted(self) -> BoolArray:
-        """Pieces of ground that are told to be target and small, beside one that is not.
+    def _doubted(self, ground: BoolArray) -> BoolArray:
+        """Pieces of the ground seen so far that are told to be target and small, beside one that is not.
 
-        Where the least group is no wider than a piece of wrong labels, sizes tell nothing.
+        A piece that may go on where nothing was seen has no size yet. Where the least group is no wider than
+        a piece of wrong labels, sizes tell nothing.
         """
-        from scipy.ndimage import label
+        from scipy.ndimage import binary_dilation, label
 
         lasting, radius = self.protocol.lasting, self.protocol.group_radius
         if lasting is None or 2.0 * radius <= lasting.blob[1]:
             return np.zeros_like(self.told)
-        pieces, _ = label(self.told, np.ones((3, 3)))
+        around = np.ones((3, 3), np.bool_)
+        pieces, _ = label(self.told, around)
         small = np.bincount(pieces.reshape(-1)) < GROUP * math.pi * (radius / self.protocol.cell) ** 2
         small[0] = True  # What is not told.
-        return np.zeros_like(self.told) if small.all() else np.asarray(self.told & small[pieces])
+        if small.all():
+            return np.zeros_like(self.told)
+        small[pieces[binary_dilation(~ground, around)]] = False
+        return np.asarray(self.told & small[pieces])
 
     def from_above(self, occupancy: OccupancyMap) -> OccupancyMap:
         """The map to a pilot of the plane, to be read until the map changes."""
