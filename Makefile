@@ -63,7 +63,7 @@ test: setup-dev ## Run the tests, and list what was skipped
 
 test-slow: export OPENBLAS_NUM_THREADS := 1
 test-slow: setup-dev ## Run what `make test` leaves out: all faults, every processor, new examples, checked indices
-	@$(BIN)/pytest -m rare -rfEs
+	@$(BIN)/pytest -n 3 --dist loadscope -m rare -rfEs
 	@$(BIN)/pytest -n 3 -m "hypothesis and not rare" --hypothesis-profile=search -rfE
 	@$(MAKE) --no-print-directory test-bounds
 

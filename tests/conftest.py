@@ -35,6 +35,23 @@ settings.register_profile("search", deadline=None, max_examples=200)
 settings.load_profile("dream")
 
 
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Of a test that is marked `few`, make all cases rare but so many: the first, the last, some between."""
+    cases: dict[tuple[str, str], list[pytest.Item]] = {}
+    for item in items:
+        if item.get_closest_marker("few"):
+            cases.setdefault((item.path.as_posix(), item.name.partition("[")[0]), []).append(item)
+    for alike in cases.values():
+        mark = alike[0].get_closest_marker("few")
+        assert mark is not None
+        (count,) = mark.args
+        kept = {round(n * (len(alike) - 1) / max(count - 1, 1)) for n in range(count)}
+        for number, item in enumerate(alike):
+            if number not in kept:
+                item.add_marker("rare")
+
+
 def pytest_collection_finish() -> None:
     """Have the garbage collector come rarely: going through all that was imported took a 30th of the time."""
     gc.collect()

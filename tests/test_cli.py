@@ -219,6 +219,7 @@ def test_the_version_is_told(capsys: pytest.CaptureFixture[str]) -> None:
     assert re.fullmatch(r"dream \d+\.\d+\.\d+\S*\n", capsys.readouterr().out)
 
 
+@pytest.mark.rare
 def test_a_default_that_is_shown_short_is_not_rounded(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -463,6 +464,7 @@ def test_a_short_run_prints_one_json_object_and_leaves_a_complete_folder(
     assert len((folder / "steps.jsonl").read_text().splitlines()) == 6
 
 
+@pytest.mark.rare
 def test_a_run_with_a_sensor_that_errs_is_repeated_to_the_bit(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -635,6 +637,7 @@ def test_what_fails_in_a_planner_of_ones_own_is_told_by_its_line_and_kept_whole(
     assert kept.read_text().startswith("Traceback (most recent call last):")
 
 
+@pytest.mark.rare
 def test_a_mission_that_breaks_off_keeps_its_steps_and_says_why(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -655,6 +658,7 @@ def test_a_mission_that_breaks_off_keeps_its_steps_and_says_why(
     assert (folder / "report.html").stat().st_size > 0
 
 
+@pytest.mark.rare
 @pytest.mark.parametrize("full_at", [3, None])
 def test_a_full_disk_ends_a_run_with_what_is_kept_and_how_to_go_on(
     full_at: int | None, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
@@ -769,6 +773,7 @@ def test_oracle_prints_both_ends_as_one_json_object_and_draws_the_tour(
     assert "0 steps, and no fewer: optimal" in capsys.readouterr().out
 
 
+@pytest.mark.rare
 def test_oracle_knows_the_bounds_of_a_protocol_with_noise_too(capsys: pytest.CaptureFixture[str]) -> None:
     options = ["--world", "reef/string", "--seed", "1", "--budget", "0"]
     assert run_command(["oracle", "--json", *options, "--protocol", "dream-v1-noisy"]) == 0
@@ -814,6 +819,7 @@ def test_oracle_keeps_the_bounds_of_a_suite_and_checks_them(
     assert capsys.readouterr().out == "flat/empty 1: holds\nflat/empty 2: holds\n"
 
 
+@pytest.mark.rare
 def test_oracle_names_the_worlds_of_a_suite_that_fail_and_searches_the_others(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -1042,6 +1048,7 @@ def test_a_run_tells_what_asking_came_to(tmp_path: Path, capsys: pytest.CaptureF
     assert summary["mission_s"] > 48.0
 
 
+@pytest.mark.rare
 def test_nothing_breaks_into_the_progress_of_a_run(tmp_path: Path) -> None:
     def answer(request: Request) -> Response:
         shutil.rmtree(tmp_path / "kept", ignore_errors=True)
@@ -1072,6 +1079,7 @@ def test_nothing_breaks_into_the_progress_of_a_run(tmp_path: Path) -> None:
     assert last == f"dream: {tmp_path / 'kept'}: 2 exchanges in all were not kept"
 
 
+@pytest.mark.rare
 def test_worlds_that_can_be_named_are_listed_with_others_that_follow_from_them(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
@@ -1120,6 +1128,7 @@ def test_a_wrong_key_ends_the_run_at_its_first_question_and_says_what_to_do(
     assert (tmp_path / "latest" / "report.html").is_file()
 
 
+@pytest.mark.rare
 def test_nobody_at_the_address_ends_the_run_at_its_first_question(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -1218,6 +1227,7 @@ def test_a_key_that_is_refused_later_is_a_fallback(tmp_path: Path) -> None:
     assert summary["vlm"]["reasons"] == {"denied": 2}
 
 
+@pytest.mark.rare
 def test_replies_that_were_kept_fly_the_same_mission_without_a_model(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -1253,6 +1263,7 @@ def test_replies_that_were_kept_fly_the_same_mission_without_a_model(
     assert len(complaint.splitlines()) == 1
 
 
+@pytest.mark.rare
 def test_an_interrupted_mission_goes_on_with_what_was_kept(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -1308,6 +1319,7 @@ def test_a_benchmark_hands_its_model_to_those_that_ask_and_writes_it_down(
     assert not [path for path in tmp_path.rglob("*.*") if b"sk-hush" in path.read_bytes()]
 
 
+@pytest.mark.rare
 @pytest.mark.usefixtures("undrawn")
 def test_a_folder_holds_one_planner_with_several_models(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -1343,6 +1355,7 @@ def test_a_folder_holds_one_planner_with_several_models(
     assert kept == ["dream", "dream"]
 
 
+@pytest.mark.rare
 @pytest.mark.usefixtures("undrawn")
 def test_a_folder_holds_one_planner_with_several_prompts_and_none_of_them_changes(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
@@ -1378,6 +1391,7 @@ def test_a_label_is_for_those_that_ask_a_model_and_plain(
     assert "--planners: expected NAME+LABEL of one that asks a model" in capsys.readouterr().err
 
 
+@pytest.mark.rare
 @pytest.mark.usefixtures("undrawn")
 def test_a_benchmark_says_of_each_mission_that_its_key_was_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -1401,6 +1415,7 @@ def test_a_benchmark_says_of_each_mission_that_its_key_was_refused(
     assert "HTTP 401. Is its name right, and its key in the environment, as DREAM_API_KEY?" in complaint
 
 
+@pytest.mark.rare
 @pytest.mark.usefixtures("undrawn")
 def test_a_mission_without_its_model_is_not_kept_and_goes_on_without_paying_twice(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch

@@ -96,6 +96,7 @@ def test_whoever_asks_the_program_to_end_is_told_apart_from_ctrl_c() -> None:
         signal.signal(signal.SIGTERM, before)
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize(
     ("stop", "said"),
     [

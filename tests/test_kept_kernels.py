@@ -99,6 +99,7 @@ def test_a_package_that_cannot_be_written_to_is_left_alone(
     assert (package / "__pycache__" / STAMP).read_text() == "of another time"
 
 
+@pytest.mark.rare
 def test_numba_alone_would_go_on_with_a_callee_that_has_changed(package: Path) -> None:
     def answer() -> int:
         code = "from sample.a._kernels import answer; print(answer(10))"

@@ -192,6 +192,7 @@ OPENED: dict[str, Callable[[Path], object]] = {
 """How a file is opened, by its kind."""
 
 
+@pytest.mark.rare
 def test_every_file_that_it_leaves_opens(made: Path) -> None:
     kinds: Counter[str] = Counter()
     for path in sorted(made.rglob("*")):

@@ -67,6 +67,7 @@ def mission(model: Server, text: str, *options: str) -> int:
     return run_command(["mission", text, "--model", model.address, "--model-name", NAME, *options])
 
 
+@pytest.mark.rare
 def test_half_the_world_in_eighty_steps_from_words_to_the_end(
     model: Server, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -112,6 +113,7 @@ def test_half_the_world_in_eighty_steps_from_words_to_the_end(
     assert program == "dream"
 
 
+@pytest.mark.rare
 def test_a_wreck_is_found_and_its_north_side_mapped_from_words_to_the_end(
     model: Server, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -187,6 +187,7 @@ def test_without_orders_all_is_mapped_in_one_leg(empty_world: World) -> None:
 # ------------------------------------------------------------------------------------------- every planner
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("name", OFFLINE)
 def test_an_area_that_is_everything_is_flown_like_no_orders(name: str, string_reef: World) -> None:
     def flown(orders: Orders | None) -> list[tuple[Decision, str]]:
@@ -203,6 +204,7 @@ def test_an_area_that_is_everything_is_flown_like_no_orders(name: str, string_re
         ]
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("name", OBEYING)
 def test_every_planner_spends_its_steps_on_the_area(name: str, string_reef: World) -> None:
     # It starts in the north-west; this quarter is beyond its first view.
@@ -242,6 +244,7 @@ def round_a_wreck(wreck: World) -> list[Step]:
     return list(flight(wreck, PLANNERS["sixsteps"], orders=orders))
 
 
+@pytest.mark.rare
 def test_the_side_of_a_wreck_is_where_the_hull_was_found(wreck: World, round_a_wreck: list[Step]) -> None:
     steps = round_a_wreck
     legs = [step.leg for step in steps if step.leg is not None]

@@ -85,6 +85,7 @@ def as_dive(run: Path, **told: Any) -> None:
     change(run / "config.json", lambda config: config.update(dive=told))
 
 
+@pytest.mark.rare
 @pytest.mark.parametrize("which", ["kept_run", "plain_run"])
 def test_the_same_code_decides_the_same(
     which: str, request: pytest.FixtureRequest, capsys: pytest.CaptureFixture[str]
@@ -113,6 +114,7 @@ def test_the_same_code_decides_the_same(
     assert ("played back" in printed) is (which == "kept_run")
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize(
     ("field", "value", "how"),
     [
@@ -222,6 +224,7 @@ def test_orders_are_obeyed_again(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert (status, told["steps"], told["agree"]) == (0, 5, 5)
 
 
+@pytest.mark.rare
 def test_a_run_of_a_model_is_answered_from_what_was_kept(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -257,6 +260,7 @@ def test_another_network_under_the_same_name_is_refused(
     assert replay(capsys, run, "--planner", "lawnmower")[1]["planner"] == "lawnmower"
 
 
+@pytest.mark.rare
 def test_another_prompt_under_the_same_name_is_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -322,6 +326,7 @@ def test_what_is_damaged_is_named(
 class TestDives:
     """Folders as a dive leaves them."""
 
+    @pytest.mark.rare
     def test_all_estimators_reckon_the_way_anew(self, run: Path, capsys: pytest.CaptureFixture[str]) -> None:
         as_dive(run)
         dived(run)
@@ -356,6 +361,7 @@ class TestDives:
         (run / "log.mcap").write_bytes(b"SQLite format 3")
         assert "expected an MCAP file" in refused(capsys, "replay", run)
 
+    @pytest.mark.rare
     @pytest.mark.parametrize("kept", [0, 300, 20_000])
     def test_a_log_that_is_torn_costs_no_more_than_its_estimates(
         self, kept: int, run: Path, capsys: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
@@ -455,6 +461,7 @@ class TestExport:
         assert pictures
         assert not pictures & set(wrote)
 
+    @pytest.mark.rare
     def test_bad_input_is_told_in_a_line(
         self, plain_run: Path, run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
     ) -> None:

@@ -309,6 +309,7 @@ def test_the_page_opens_at_the_last_step(finished: Path, tmp_path: Path) -> None
     assert re.search(r'id="counter"[^>]*>Step 11 <small>of 11', shown)
 
 
+@pytest.mark.few(3)
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("why", "summarized", "said"),
@@ -335,6 +336,7 @@ def test_a_mission_that_did_not_end_is_called_aborted_and_says_why(
     assert re.search(said, shown)
 
 
+@pytest.mark.rare
 @pytest.mark.slow
 def test_what_was_ordered_stands_below_the_headline_as_text(tmp_path: Path) -> None:
     for name in ("plain", "ordered"):
@@ -597,6 +599,7 @@ def test_a_dive_that_was_cut_short_says_that_the_computer_was_too_slow(
     assert not re.search(r'id="outcome"[^<]*did not keep up', whole)
 
 
+@pytest.mark.rare
 @pytest.mark.slow
 def test_out_of_steps_it_says_whether_it_called_the_mission_complete(tmp_path: Path) -> None:
     for name, region in (("never", ""), ("refused", "around (1, 2)")):
@@ -658,6 +661,7 @@ LAID_OUT = """() => {
 }"""
 
 
+@pytest.mark.rare
 @pytest.mark.slow
 def test_the_player_covers_nothing_and_the_map_is_readable_on_every_screen(finished: Path) -> None:
     if CHROMIUM is None:

@@ -100,6 +100,7 @@ def test_deciding_changes_neither_the_observation_nor_the_map(
         np.testing.assert_array_equal(image, kept)
 
 
+@pytest.mark.few(3)
 def test_two_missions_of_one_planner_do_not_disturb_each_other(
     planner: AnyPlanner, seen: tuple[Observation, OccupancyMap]
 ) -> None:

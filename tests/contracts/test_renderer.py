@@ -30,6 +30,7 @@ def pose_of(world: World, turn: float = 0.0) -> SE3:
     return SE3.level(start.x, start.y, z, start.yaw + turn) @ protocol.T_base_camera
 
 
+@pytest.mark.few(3)
 def test_images_have_the_shapes_types_and_values_that_are_promised(made: tuple[World, Renderer]) -> None:
     world, renderer = made
     for turn in (0.0, 2.0, 4.0):

@@ -81,6 +81,7 @@ SEVERAL = ("wreck/2+wreck/3", "wreck/4+reef/patch", "wreck/1+wreck/5+reef/K")
 every_world = pytest.mark.parametrize("name", [*WORLDS, *SEVERAL])
 
 
+@pytest.mark.few(6)
 @every_world
 def test_the_hash_of_a_name_and_a_seed_never_changes(name: str) -> None:
     assert hash_of(name)[:16] == HASHES[name]
@@ -105,6 +106,7 @@ def test_everything_lies_on_whole_millimetres_and_the_like(name: str) -> None:
         assert whole(table.tint, FACTOR)
 
 
+@pytest.mark.few(6)
 @every_world
 def test_a_world_survives_the_disk(name: str, tmp_path: Path) -> None:
     save_world(world(name), tmp_path / "saved")

@@ -67,6 +67,7 @@ def off(track: Array, goal: tuple[float, float, float]) -> Array:
 # ---------------------------------------------------------------------------------------------- how good
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("bearing", [math.radians(45.0 * k) for k in range(8)])
 def test_it_holds_its_station_in_a_current_to_three_centimetres(bearing: float) -> None:
     east, north = 0.2 * math.cos(bearing), 0.2 * math.sin(bearing)
@@ -132,6 +133,7 @@ def test_going_to_and_fro_it_learns_how_much_of_the_drag_there_is(
     assert least < helm.drag_share[0] < most
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("bearing", [0.0, 1.0, 2.0, 3.0])
 @pytest.mark.parametrize("factor", [0.15, 0.4, 1.0])
 def test_in_a_current_it_ends_a_long_move_at_its_goal_as_well(factor: float, bearing: float) -> None:

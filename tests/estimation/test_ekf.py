@@ -104,6 +104,7 @@ def test_rows_are_slopes_of_the_innovations(seed: int) -> None:
             np.testing.assert_allclose((V - V_behind) / (2.0 * small), H @ axis, atol=1e-7)
 
 
+@pytest.mark.rare
 def test_errors_are_as_large_as_the_covariance_says_where_it_begins_near_the_truth() -> None:
     flight, seeds, total = survey(30.0), 12, 0.0
     chosen = replace(FILTER, start=Start(tilt=0.01, yaw=0.01, accelerometer_bias=0.01))

@@ -125,6 +125,7 @@ def squared(
     return np.array(out)
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("chosen", FILTERS, ids=["inekf", "ekf"])
 @pytest.mark.parametrize("dvl", [False, True])
 def test_after_a_gap_errors_are_as_large_as_the_covariance_says(chosen: Any, dvl: bool) -> None:
@@ -147,6 +148,7 @@ def test_after_a_gap_errors_are_as_large_as_the_covariance_says(chosen: Any, dvl
     assert (unaware > 10.0 * chi2.ppf(0.999, 15 * 4)).all(), unaware / (15 * 4)
 
 
+@pytest.mark.rare
 @pytest.mark.parametrize("chosen", FILTERS, ids=["inekf", "ekf"])
 def test_a_vehicle_that_sways_errs_no_more_than_it_is_told(chosen: Any) -> None:
     gap, at, seeds = (4.0, 4.7), [4.7, 5.2, 6.0, 8.0], 12

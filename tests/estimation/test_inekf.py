@@ -308,6 +308,7 @@ def test_a_start_is_as_certain_as_its_fields_say_wherever_it_is() -> None:
 # -------------------------------------------------------------------------------------------
 
 
+@pytest.mark.rare
 def test_errors_are_as_large_as_the_covariance_says() -> None:
     """The mean over seeds of the normalised error squared lies in its 95 % band at nine instants in ten."""
     flight, seeds, every = survey(40.0), 20, 50
@@ -348,12 +349,14 @@ def drift(sensors: Sensors, seed: int) -> float:
     return float(np.linalg.norm((last.position - flight.positions[-1])[:2])) / flight.distance
 
 
+@pytest.mark.rare
 def test_drift_stays_within_half_a_percent_with_the_better_dvl() -> None:
     for seed in range(3):
         sensors = Sensors(gyro_bias=(0.004, -0.003, 0.005), dvl_scale=1.001 if seed % 2 else 0.999)
         assert drift(sensors, seed) <= 0.005
 
 
+@pytest.mark.rare
 def test_a_scale_error_of_the_dvl_is_drift_since_nothing_observes_it() -> None:
     """Straight on, so that it does not cancel; one percent too long is one percent too far, not more."""
     flight = survey(19.0)

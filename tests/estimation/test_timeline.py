@@ -39,6 +39,7 @@ def with_delays(delays: dict[type, float]) -> list[Imu | Measurement]:
     return sorted(messages, key=lambda m: m.time + delays.get(type(m), 0.0))
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("kind", [InEkf, Ekf, Cipg, DeadReckoning])
 def test_in_order_it_is_the_estimator_itself(kind: Any) -> None:
     estimator = kind(mounting=MOUNTING)

@@ -110,6 +110,7 @@ def few(folder: Path, missing: int = 0, **changes: Any) -> Path:
     return write_bench(folder, missions[: len(missions) - missing], FEW, list(paces), **changes)
 
 
+@pytest.mark.rare
 @pytest.mark.slow
 def test_the_page_loads_and_runs_nothing(paper: Path) -> None:
     page = Page(paper / "report.html")
@@ -172,6 +173,7 @@ def test_markdown_has_the_same_tables(paper: Path) -> None:
         assert title.replace("\\", "") in page.text
 
 
+@pytest.mark.rare
 @pytest.mark.slow
 def test_equal_folders_give_equal_bytes(tmp_path: Path) -> None:
     one, two = (write_report(few(tmp_path / name)) for name in "ab")
@@ -277,6 +279,7 @@ def test_the_live_table_counts_what_was_never_reached_as_the_tables_do(tmp_path:
     assert "80.0" in console.file.getvalue().split("random")[-1]  # type: ignore[attr-defined]
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize(
     ("cases", "planners"),
     [
@@ -613,6 +616,7 @@ def test_bad_arguments_are_one_line(
     assert len(printed.err.strip().splitlines()) == 1
 
 
+@pytest.mark.rare
 def test_tables_are_made_without_matplotlib() -> None:
     code = "import sys, dream.evaluation.report, dream.cli; sys.exit('matplotlib' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -76,6 +76,7 @@ def test_it_knows_when_no_motion_was_asked_for(tmp_path: Path) -> None:
     np.testing.assert_allclose(flown.stopped, [(2.0, 4.0), (4.5, 4.9)])
 
 
+@pytest.mark.rare
 def test_velocities_of_guided_are_shown_where_they_drove(tmp_path: Path) -> None:
     with DiveLog(tmp_path, epoch_ns=10**18) as log:
         log.tap(0.0, "estimate", False, fix(0.0, 0.0, 0.0, 0.0))
@@ -102,6 +103,7 @@ def test_truth_and_map_are_those_of_the_steps(tmp_path: Path) -> None:
     assert flown.occupancy.seen.any()
 
 
+@pytest.mark.rare
 def test_the_same_dive_gives_the_same_picture(tmp_path: Path) -> None:
     logged(tmp_path, standing=((2.0, "neutral"),))
     svg, png = draw_dive(tmp_path)
@@ -113,6 +115,7 @@ def test_the_same_dive_gives_the_same_picture(tmp_path: Path) -> None:
         assert picture.width > 1000
 
 
+@pytest.mark.rare
 def test_a_heading_that_wraps_is_drawn_without_a_jump(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -144,6 +147,7 @@ def test_a_folder_without_a_dive_is_refused(tmp_path: Path) -> None:
         draw_dive(tmp_path)
 
 
+@pytest.mark.rare
 def test_the_report_of_a_dive_is_written_with_its_picture(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

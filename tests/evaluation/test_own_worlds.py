@@ -61,6 +61,7 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, undrawn: None) -> None
     monkeypatch.setattr("dream.evaluation.engines.Processes", InProcess)
 
 
+@pytest.mark.rare
 def test_a_saved_world_that_nobody_changed_is_the_one_of_its_name() -> None:
     saved(Path("mine"), "reef/L")
     assert run_command(["bench", "--world", "mine", *FLY]) == 0
@@ -83,6 +84,7 @@ def changed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return home
 
 
+@pytest.mark.rare
 def test_a_changed_world_is_called_so_in_rows_tables_and_files(changed: Path) -> None:
     bench, world = changed / "bench/mine", load_world(changed / "worlds/mine")
     assert world.name == "reef/L"
@@ -125,6 +127,7 @@ def test_its_recordings_play_from_anywhere(changed: Path, capsys: pytest.Capture
         assert "4 of 4 decisions agree" in capsys.readouterr().out
 
 
+@pytest.mark.rare
 @pytest.mark.parametrize(
     ("words", "named"),
     [
@@ -155,6 +158,7 @@ def test_the_command_that_repeats_it_names_the_same_worlds(
     assert asked[0] == asked[1]
 
 
+@pytest.mark.rare
 @pytest.mark.parametrize("change", [moved, lambda folder: edit(folder, name="Riff vor Föhr")])
 def test_no_benchmark_goes_on_with_a_world_that_has_changed(
     change: Callable[[Path], object], capsys: pytest.CaptureFixture[str]
@@ -215,6 +219,7 @@ def plan(*cases: Case) -> Plan:
     return Plan("mine", cases, {"random": RandomWalk()}, DREAM_V1, max_steps=2)
 
 
+@pytest.mark.rare
 def test_workers_find_it_wherever_they_stand(tmp_path: Path) -> None:
     moved(saved(Path("mine")))
     (away := tmp_path / "away").mkdir()

@@ -72,6 +72,7 @@ def of_kind(questions: list[MapQuestion], kind: str) -> list[MapQuestion]:
 # ------------------------------------------------------------------------------------------ as a whole
 
 
+@pytest.mark.rare
 def test_there_are_200_questions_25_of_each_kind(questions: list[MapQuestion]) -> None:
     assert [question.number for question in questions] == list(range(1, QUESTIONS + 1))
     assert Counter(question.kind for question in questions) == dict.fromkeys(KINDS, 25)
@@ -237,6 +238,7 @@ def test_one_mark_alone_has_green_that_touches_white_beside_it(questions: list[M
                 assert np.count_nonzero(away(edge, place) <= 3.5) == 0
 
 
+@pytest.mark.rare
 def test_one_way_alone_leads_through_something_solid(questions: list[MapQuestion]) -> None:
     for question in of_kind(questions, "blocked"):
         solid = cells_of(question, BLACK, DARK_GREEN)
@@ -412,6 +414,7 @@ def first_choice(request: Request) -> Response:
     return choice(request.schema["properties"]["answer"]["enum"][0])
 
 
+@pytest.mark.rare
 def test_a_server_that_knows_all_has_200_of_200(
     questions: list[MapQuestion],
     tmp_path: Path,

@@ -156,6 +156,7 @@ def test_who_stands_beside_uivnav_in_the_papers_form_is_told_as_released() -> No
         assert f"| `{planner}` | {' | '.join(cells)} |" in page
 
 
+@pytest.mark.rare
 def test_what_noise_does_to_uivnav_is_told_as_released(tmp_path: Path) -> None:
     printed = subprocess.run(
         [sys.executable, ROOT / "perf/uivnav.py", "draw", "--picture", tmp_path / "noise.svg"],

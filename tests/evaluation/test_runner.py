@@ -158,6 +158,7 @@ def test_the_curve_holds_what_a_mission_ended_with() -> None:
     assert curve([0.0] * 201 + [1.0] * 50, 200)["auc"] == 0.0, "the cap ends the mean"
 
 
+@pytest.mark.rare
 @pytest.mark.parametrize("protocol", ["dream-v1", "dream-v1-noisy"])
 def test_a_world_that_is_used_again_gives_the_same_mission(
     protocol: str, monkeypatch: pytest.MonkeyPatch
@@ -222,6 +223,7 @@ def test_kill_9_loses_and_repeats_nothing(tmp_path: Path) -> None:
     assert len(after) == len(read_results(tmp_path).rows) == 12
 
 
+@pytest.mark.rare
 def test_planners_and_worlds_may_join_later(tmp_path: Path) -> None:
     once, twice = tmp_path / "once", tmp_path / "twice"
     bench(plan(), once)
@@ -343,6 +345,7 @@ def failing(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Ended]
     return folder, bench(plan(FLAT[:1], planners=planners), folder, Processes(2))
 
 
+@pytest.mark.rare
 def test_a_mission_that_fails_costs_only_itself(failing: tuple[Path, list[Ended]]) -> None:
     folder, ended = failing
     outcomes = {e.key[-1]: e.outcome for e in ended}
@@ -355,6 +358,7 @@ def test_a_mission_that_fails_costs_only_itself(failing: tuple[Path, list[Ended]
     assert read_manifest(folder)["finished"] is None
 
 
+@pytest.mark.rare
 @pytest.mark.parametrize("keep_runs", [False, True])
 def test_a_mission_whose_vehicle_is_lost_is_scored_by_what_it_had_seen(
     keep_runs: bool, tmp_path: Path
@@ -471,6 +475,7 @@ def test_reaches_are_protocols_of_their_own() -> None:
     assert far.reach == 10.0
 
 
+@pytest.mark.rare
 @pytest.mark.usefixtures("undrawn")
 def test_a_sweep_flies_the_same_missions_with_every_reach(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

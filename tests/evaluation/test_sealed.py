@@ -323,6 +323,7 @@ def test_all_blocks_are_flown_by_the_same_rules_whichever_world_comes_first(
     assert "as dream-v2-true does" in capsys.readouterr().err
 
 
+@pytest.mark.rare
 def test_a_folder_holds_one_key_the_next_blocks_and_nothing_else(
     run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -254,6 +254,7 @@ def coverage(families: tuple[str, ...], statistic: Statistic, benchmarks: int) -
     return float(np.mean([each.low <= truth <= each.high for each in found]))
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("statistic", [mean, interquartile_mean])
 @pytest.mark.parametrize(("families", "least"), [(PAPER, 0.92), (REEFS, 0.92), (WRECKS, 0.87)])
 def test_the_intervals_cover_what_they_claim(

@@ -46,6 +46,7 @@ def _file(planner: str, name: str, seed: int) -> Path:
     return FOLDER / f"{planner}_{name.replace('/', '-')}-{seed}.json"
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize(("planner", "name", "seed"), MISSIONS)
 def test_a_golden_mission_has_not_moved(planner: str, name: str, seed: int) -> None:
     golden = json.loads(_file(planner, name, seed).read_text())

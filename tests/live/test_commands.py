@@ -164,6 +164,7 @@ def test_what_lies_where_it_is_called_from_is_not_run(growing: Make, tmp_path: P
     assert is_gone(address[0])
 
 
+@pytest.mark.rare
 @pytest.mark.slow
 @needs_server
 def test_a_server_outlives_no_mission(growing: Make) -> None:

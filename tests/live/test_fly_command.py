@@ -53,6 +53,7 @@ def flown(*words: str, steps: int) -> tuple[dict[str, Any], str]:
     return summary, said
 
 
+@pytest.mark.rare
 @pytest.mark.slow
 def test_it_leaves_a_run_that_can_be_flown_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = (*FLAT, "--out", str(tmp_path), "--max-steps", "5", "--name", "ann")
@@ -71,6 +72,7 @@ def test_it_leaves_a_run_that_can_be_flown_again(tmp_path: Path, capsys: pytest.
     assert again["farthest_m"] == 0.0
 
 
+@pytest.mark.rare
 @pytest.mark.slow
 def test_ctrl_c_keeps_all(tmp_path: Path) -> None:
     mission = started(*FLAT, "--out", str(tmp_path))
@@ -90,6 +92,7 @@ def test_ctrl_c_keeps_all(tmp_path: Path) -> None:
     assert (tmp_path / "latest/report.html").exists()
 
 
+@pytest.mark.rare
 @pytest.mark.slow
 def test_a_mission_becomes_a_row_beside_those_of_planners_once(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]

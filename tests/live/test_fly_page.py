@@ -59,6 +59,7 @@ def my_turn(page: Page, flown: int, of: int) -> None:
     expect(page.locator("#state")).to_have_text("Your turn")
 
 
+@pytest.mark.rare
 def test_keys_put_steps_together_and_the_mission_flies_them(page: Page, complaints: list[str]) -> None:
     with flown(make_world("flat/empty", 1), DREAM_V1, 8) as flying:
         page.goto(address(flying))
@@ -108,6 +109,7 @@ def test_keys_put_steps_together_and_the_mission_flies_them(page: Page, complain
         assert complaints == []
 
 
+@pytest.mark.rare
 def test_in_space_it_climbs_and_tilts_and_fits_a_phone(page: Page, complaints: list[str]) -> None:
     with flown(make_world("flat/empty", 1), DREAM_V2_TRUE, 6) as flying:
         page.set_viewport_size({"width": 390, "height": 844})
@@ -134,6 +136,7 @@ def test_in_space_it_climbs_and_tilts_and_fits_a_phone(page: Page, complaints: l
         assert complaints == []
 
 
+@pytest.mark.rare
 def test_a_second_browser_only_watches(page: Page, browser: Browser) -> None:
     with flown(make_world("flat/empty", 1), DREAM_V1, 6) as flying:
         page.goto(address(flying))

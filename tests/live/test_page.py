@@ -166,6 +166,7 @@ def test_a_page_that_was_out_of_sight_for_an_hour_keeps_up(
     assert not complaints
 
 
+@pytest.mark.rare
 def test_a_scene_grows_with_its_run_and_goes_with_it(
     page: Page, complaints: list[str], show: Callable[..., Shown], growing: Make
 ) -> None:
@@ -194,6 +195,7 @@ def test_a_scene_grows_with_its_run_and_goes_with_it(
     assert [line for line in complaints if "WebGL" not in line] == []
 
 
+@pytest.mark.rare
 def test_a_lost_connection_is_told_and_made_up_for(
     page: Page, show: Callable[..., Shown], growing: Make
 ) -> None:
@@ -214,6 +216,7 @@ def test_a_lost_connection_is_told_and_made_up_for(
         counter(page, step, 4)
 
 
+@pytest.mark.rare
 def test_a_connection_that_nobody_answers_is_given_up(
     page: Page, show: Callable[..., Shown], growing: Make
 ) -> None:
@@ -233,6 +236,7 @@ def test_a_connection_that_nobody_answers_is_given_up(
     expect(page.locator("#lost")).to_be_hidden()
 
 
+@pytest.mark.rare
 def test_a_server_that_still_reads_is_waited_for(
     page: Page, show: Callable[..., Shown], growing: Make, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -249,6 +253,7 @@ def test_a_server_that_still_reads_is_waited_for(
     counter(page, 1, 1)
 
 
+@pytest.mark.rare
 def test_missions_stand_side_by_side_and_new_ones_appear(
     page: Page, complaints: list[str], show: Callable[..., Shown], growing: Make
 ) -> None:

@@ -41,6 +41,7 @@ MAPS = {
 }
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("things", MAPS.values(), ids=MAPS)
 @settings(max_examples=12)
 @given(at=st.floats(-11.0, 11.0), upright=st.booleans())

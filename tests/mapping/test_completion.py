@@ -314,6 +314,7 @@ BARE_GROUND = EXPLORED | BARE
 TARGET, SOLID, FREE = 0x50, 5, -3
 
 
+@pytest.mark.rare
 @given(
     seed=st.integers(0, 2**31),
     bounds=st.sampled_from((None, Bounds(-12.0, -12.0, 12.0, 12.0), Bounds(-3.0, 5.0, 17.0, 9.0))),
@@ -445,6 +446,7 @@ def test_two_regions_merge_over_a_bridge_and_part_again() -> None:
     assert kept.check(0.0, 0.0).regions == ()
 
 
+@pytest.mark.rare
 @given(seed=st.integers(0, 2**31))
 @settings(max_examples=4)
 def test_in_a_maze_whose_doors_open_and_close_the_reachable_ground_is_as_from_scratch(seed: int) -> None:

@@ -483,6 +483,7 @@ def test_frame_after_frame_the_map_is_that_of_the_plain_rule(
     plain.check(occupancy)
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("shape", [(1, 1), (1, 40), (30, 1), (2, 3), (5, 1030)])
 @given(seed=st.integers(0, 2**31), soft=st.booleans())
 @settings(max_examples=5, phases=[Phase.generate])

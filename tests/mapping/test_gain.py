@@ -95,6 +95,7 @@ def boulders(share: float, shape: tuple[int, int], cell: float, seed: int) -> Bo
     return solid
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("protocol", [DREAM_V1, FINE], ids=["0.25 m", "0.1 m"])
 @pytest.mark.parametrize("share", [0.02, 0.05, 0.1])
 def test_the_gain_is_within_two_percent_of_a_caster_with_many_more_rays(

@@ -187,6 +187,7 @@ def test_far_off_nothing_is_marked_that_scatters() -> None:
     assert _after(*_scattered([afar])).unseen < 0.05 * _after(afar).unseen
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("scatter", [0.002, 0.004, 0.007, 0.01])
 def test_however_much_depths_scatter_a_hull_within_reach_is_seen_and_its_far_side_is_not(
     scatter: float,

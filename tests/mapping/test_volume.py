@@ -239,6 +239,7 @@ class Twin:
         return np.where(self.odds > 0, every_corner, any_point)
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("seed", range(4))
 def test_a_volume_is_what_a_plain_twin_makes_of_the_same_frames(seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -383,6 +384,7 @@ def test_what_is_seen_at_a_grazing_angle_or_from_afar_is_not_inspected() -> None
     assert np.count_nonzero(over_ground > 6.3) > 100
 
 
+@pytest.mark.rare
 def test_a_ball_is_inspected_side_by_side() -> None:
     things = [FLOOR, ball((0.0, 0.0, -7.0), 0.9)]
     views = [
@@ -409,6 +411,7 @@ def test_a_ball_is_inspected_side_by_side() -> None:
     np.testing.assert_allclose(volume.target([[0.87, 0.02, -7.02], [3.0, 0.0, -9.0]]), [1.0, np.nan])
 
 
+@pytest.mark.rare
 def test_a_thin_plate_stays_however_often_rays_graze_it() -> None:
     plate = box((1.0, -1.0, -8.52), (5.0, 1.0, -8.48))
     head_on = pose(3.0, 0.0, -6.5, tilt=math.radians(89.0))
@@ -536,6 +539,7 @@ def states_around(volume: Volume) -> tuple[Array, Array]:
     return volume.state((index[..., ::-1].reshape(-1, 3) + 0.5) * volume.cell).reshape(size), first
 
 
+@pytest.mark.rare
 def test_the_surface_is_all_that_is_solid_and_touches_free_water(corner: Volume) -> None:
     states, first = states_around(corner)
     at_face = ndimage.binary_dilation(states == FREE, ndimage.generate_binary_structure(3, 1))

@@ -75,6 +75,7 @@ def test_nothing_left_is_done(planner: AnyPlanner) -> None:
     assert planner.begin(MISSION).decide(observed_at(3.0, -4.0, 0.0), map_with(explored=all_but())).done
 
 
+@pytest.mark.few(3)
 @searchers
 def test_ground_that_never_shows_is_given_up_and_then_it_says_done_without_end(planner: AnyPlanner) -> None:
     """The map promises a view of the slit that never comes true, as behind a low boulder."""
@@ -98,6 +99,7 @@ def test_ground_that_never_shows_is_given_up_and_then_it_says_done_without_end(p
     assert len(claimed) >= 2, "done again once the slit is given up"
 
 
+@pytest.mark.few(3)
 @searchers
 def test_it_sees_an_empty_arena_and_stops(planner: AnyPlanner, sandbox: World) -> None:
     *_, last = simulate(sandbox, planner, DREAM_V1)

@@ -140,6 +140,7 @@ def over_the_reef() -> Flown:
 # ------------------------------------------------------------------------------------------------ missions
 
 
+@pytest.mark.few(3)
 def test_a_mission_ends_by_itself_and_says_why(flown: Flown) -> None:
     assert flown.last.ended == "done"
     assert flown.last.index < DREAM_V1.cap
@@ -312,6 +313,7 @@ def test_a_refused_done_raises_its_patience_and_only_that_does(sway: float) -> N
     assert pilot.failed.patience == before + 4
 
 
+@pytest.mark.rare
 def test_ground_that_never_shows_is_given_up_then_tried_again_when_refused() -> None:
     never = ~all_but(SLIT)
     toy = Toy(SE2(-3.0, 2.0, 0.0), ~never, never=never)
@@ -344,6 +346,7 @@ def test_ground_that_never_shows_brings_it_to_no_pose_more_often_than_that(
     assert visits > 2 * MOST_VISITS, "nothing else stops it"
 
 
+@pytest.mark.rare
 def test_what_only_the_map_still_promises_brings_it_to_no_pose_more_often_than_twice_that(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -461,6 +464,7 @@ def test_certify_ends_an_empty_world_only_when_nothing_is_left_to_see() -> None:
     assert _could_still_be_seen(flown.last) == 0.0
 
 
+@pytest.mark.rare
 @pytest.mark.slow
 @pytest.mark.parametrize("start", [AWAY, *REEF.starts])
 def test_certify_sees_all_that_the_default_leaves(start: SE2) -> None:
@@ -603,6 +607,7 @@ def test_ground_looked_at_in_vain_often_enough_is_no_risk() -> None:
     assert decision.done
 
 
+@pytest.mark.rare
 def test_who_is_done_at_some_risk_is_done_at_any_greater_one() -> None:
     risks = (0.0, 0.002, 0.01, 0.05, 0.2, 0.5, 1.0)
     verdicts = []
@@ -645,6 +650,7 @@ def test_on_a_reef_no_hull_is_believed_in(over_the_reef: Flown) -> None:
     assert not pilot.expect(situation_of(pilot, over_the_reef.last.observation, occupancy)).hull.any()
 
 
+@pytest.mark.rare
 def test_on_a_wreck_what_is_left_of_the_hull_keeps_it_going() -> None:
     thorough, hasty = (_fly(WRECK, Belief(hull_left=left)) for left in (0.0, 1.0))
     assert thorough.last.index > hasty.last.index

@@ -71,6 +71,7 @@ def _away(x: float, y: float) -> npt.NDArray[np.float64]:
 # -------------------------------------------------------------------------------------------- where they lie
 
 
+@pytest.mark.rare
 @given(
     x=st.floats(-6.0, 6.0), y=st.floats(-6.0, 6.0), yaw=st.floats(-math.pi, math.pi), far=st.floats(8.5, 25.0)
 )

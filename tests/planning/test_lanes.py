@@ -106,6 +106,7 @@ def test_points_between_the_corners_are_on_the_way_and_near_each_other(box: Boun
     assert all((np.abs(points - corner).max(axis=1) < 1e-9).any() for corner in route)
 
 
+@pytest.mark.few(12)
 @pytest.mark.parametrize("planner", [Lawnmower(), Spiral()], ids=["lawnmower", "spiral"])
 @pytest.mark.parametrize("protocol", PROTOCOLS.values(), ids=PROTOCOLS)
 @pytest.mark.parametrize("start", [(0.2, -0.1), (-0.7, 0.6), (0.8, 0.8)])

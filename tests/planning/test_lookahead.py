@@ -165,6 +165,7 @@ def test_what_was_looked_at_gains_nothing_again() -> None:
     assert kernels.gain(puzzle.weights, seen, puzzle.views, behind) > 0.0
 
 
+@pytest.mark.few(9)
 @pytest.mark.parametrize("few", [False, True])
 @pytest.mark.parametrize("farthest", [1, 3, 40])
 @pytest.mark.parametrize("seed", range(8))

@@ -18,6 +18,7 @@ MISSION = Mission(DREAM_V1, AREA, 200)
 ALL = 10_000
 
 
+@pytest.mark.rare
 def test_it_goes_for_the_best_of_all_ways_by_what_they_tell_and_show_together() -> None:
     explored = all_but(np.s_[:30, :40], np.s_[50:80, 66:90])
     target = np.zeros_like(explored)

@@ -70,6 +70,7 @@ def test_it_plans_with_the_reach_over_ground_that_the_search_of_belief_has(plann
     assert pilot.water.protocol.reach < PROTOCOL.reach
 
 
+@pytest.mark.few(3)
 @searchers
 def test_it_moves_through_known_water_only(planner: Any) -> None:
     occupancy = map_of(water())

@@ -60,6 +60,7 @@ def law(angle: float) -> float:
     return MISSES * (1.0 - math.cos(angle)) ** 2
 
 
+@pytest.mark.rare
 def test_looks_are_kept_as_a_plain_loop_would() -> None:
     frames = [looking(-2.0, 1.0, 0.4), looking(3.0, -2.0, 2.5, height=2.0, tilt=math.radians(20.0))]
     kept = np.zeros((PARTS, *OccupancyMap(BOUNDS, PROTOCOL).shape))

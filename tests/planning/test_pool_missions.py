@@ -62,6 +62,7 @@ def flown(seed: int, protocol: SurveyProtocol, start: int = 0, *, beside: bool =
     return explore(robot, Belief(), OccupancyMap(world.bounds, protocol))
 
 
+@pytest.mark.rare
 @pytest.mark.parametrize(("seed", "protocol", "beside"), [(1, POOL_V1, False), (4, NOISY, True)])
 def test_it_traverses_the_shells_touches_nothing_and_stops_by_itself(
     seed: int, protocol: SurveyProtocol, *, beside: bool
@@ -86,6 +87,7 @@ def test_it_traverses_the_shells_touches_nothing_and_stops_by_itself(
         assert step.occupancy.distance_to_solid[row, col] <= 0.06, "both pipes are in the map"
 
 
+@pytest.mark.rare
 def test_what_it_says_of_the_traversal_is_true_of_the_map() -> None:
     before: tuple[int, int, int] | None = None
     walked = 0

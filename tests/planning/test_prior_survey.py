@@ -283,6 +283,7 @@ def known(string_reef: World) -> list[Step]:
     return list(simulate(string_reef, Belief(), DREAM_V1, max_steps=12, prior=prior))
 
 
+@pytest.mark.rare
 def test_it_goes_where_the_targets_were(known: list[Step], string_reef: World) -> None:
     blind = list(simulate(string_reef, Belief(), DREAM_V1, max_steps=12))
     areas = [float(steps[-1].occupancy.target.sum()) for steps in (known, blind)]

@@ -117,6 +117,7 @@ def test_a_turn_that_the_protocol_lacks_becomes_the_nearest(tmp_path: Path) -> N
     assert turns == [-90, -90, 0, 0, 0, 90, 90]
 
 
+@pytest.mark.rare
 def test_it_draws_as_often_as_the_network_says(tmp_path: Path) -> None:
     shares = np.array([0.05, 0.05, 0.1, 0.5, 0.2, 0.05, 0.05])
     path = str(always(tmp_path / "m.onnx", np.log(shares)))

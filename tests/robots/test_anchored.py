@@ -231,6 +231,7 @@ def test_it_is_less_sure_the_farther_it_went_and_surer_by_what_it_sees_again(
     assert sigmas[1] < 0.5 * sigmas[0]
 
 
+@pytest.mark.rare
 def test_what_it_tells_of_its_error_holds_for_robots_that_err_so() -> None:
     """Many draws of a drift, a heading and a scale that `Anchoring` names: two sigma hold 9 of 10."""
     held = []

@@ -44,6 +44,7 @@ def changed(path: Path, **arrays: Any) -> Path:
     return path
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize(
     ("arrays", "why"),
     [

@@ -62,6 +62,7 @@ def run(wreck: RunScene, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.rare
 def test_the_page_holds_the_scene_and_its_viewer(run: Path, wreck: RunScene) -> None:
     page = Page(run / "report.html")
     told = json.loads(page.scripts["space-data"])
@@ -182,6 +183,7 @@ BEYOND = """() => {
 INSPECTED, UNSEEN = (170, 215, 204), (122, 28, 92)
 
 
+@pytest.mark.rare
 @pytest.mark.slow
 @pytest.mark.parametrize("flat", [False, True], ids=["webgl", "flat"])
 def test_the_scene_is_drawn_as_of_the_step_that_is_chosen(flat: bool, browsers: Any, run: Path) -> None:
@@ -201,6 +203,7 @@ def test_the_scene_is_drawn_as_of_the_step_that_is_chosen(flat: bool, browsers: 
     view.close()
 
 
+@pytest.mark.rare
 @pytest.mark.slow
 def test_layers_views_mouse_and_keys_change_the_picture_and_nothing_else_does(
     browsers: Any, run: Path
@@ -264,6 +267,7 @@ def test_the_wheel_scrolls_the_page_until_the_view_was_clicked(browsers: Any, ru
     view.close()
 
 
+@pytest.mark.rare
 @pytest.mark.slow
 def test_a_view_whose_card_took_its_memory_back_is_drawn_again(browsers: Any, run: Path) -> None:
     view = View(browsers(False), run)
@@ -320,6 +324,7 @@ def test_of_a_damaged_scene_the_page_shows_a_note_and_all_else(
     view.close()
 
 
+@pytest.mark.rare
 @pytest.mark.slow
 def test_what_a_scene_says_is_shown_as_text(
     browsers: Any, run: Path, wreck: RunScene, tmp_path: Path

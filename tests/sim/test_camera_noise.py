@@ -105,6 +105,7 @@ def test_who_is_missed_changes_from_frame_to_frame() -> None:
     assert abs((first & second).mean() - 0.01) < 4.0 * math.sqrt(0.01 / 4000)
 
 
+@pytest.mark.rare
 @pytest.mark.parametrize(("name", "missed_as"), [("reef/string", Label.SEABED), ("wreck/1", Label.OBSTACLE)])
 def test_what_is_missed_takes_the_label_of_what_it_is_part_of(name: str, missed_as: Label) -> None:
     world = made(name)

@@ -295,6 +295,7 @@ def test_a_world_comes_back_as_it_was(tank: World, saved: Path) -> None:
             assert np.array_equal(getattr(mine, name), getattr(theirs, name))
 
 
+@pytest.mark.rare
 @pytest.mark.parametrize("name", ["wreck/4", "reef/patch"])
 def test_a_loaded_world_looks_and_counts_like_the_one_that_was_saved(name: str, tmp_path: Path) -> None:
     world = made(name)

@@ -409,6 +409,7 @@ def test_too_many_triangles_are_refused(tmp_path: Path, monkeypatch: pytest.Monk
 # The command
 
 
+@pytest.mark.rare
 def test_the_command_makes_a_folder_that_can_be_flown(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], barge: Made
 ) -> None:

@@ -103,6 +103,7 @@ def radii(world: World) -> list[float]:
     return [float(np.hypot(*(each - each.mean(axis=0)).T).max()) for each in own]
 
 
+@pytest.mark.few(4)
 @every_world
 def test_an_arena_can_be_surveyed_on_one_battery(family: str, seed: int) -> None:
     world = made(f"reef/{family}", seed)
@@ -190,6 +191,7 @@ def test_individuals_stand_on_what_they_grow_on_and_away_from_it(family: str, se
         assert (np.abs(ups[:, 2]) < 0.35).mean() > 0.1
 
 
+@pytest.mark.few(3)
 @every_family
 def test_the_same_seed_gives_the_same_world(family: str) -> None:
     assert world_hash(make_world(f"reef/{family}", 1)) == world_hash(made(f"reef/{family}"))

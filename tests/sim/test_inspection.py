@@ -286,6 +286,7 @@ def compare_with_every_triangle(name: str, poses: int, most: int) -> None:
     assert differing <= DIFFERING * count, f"{differing} of {count} points differ"
 
 
+@pytest.mark.rare
 @pytest.mark.parametrize("name", ["reef/string", "wreck/4"])
 def test_a_look_agrees_with_every_triangle_one_by_one(name: str) -> None:
     compare_with_every_triangle(name, poses=5, most=25)
@@ -323,6 +324,7 @@ def compare_with_the_renderer(name: str, poses: int) -> None:
     assert shown >= 0.995 * inspected > 0, f"{shown} of {inspected}"
 
 
+@pytest.mark.rare
 @pytest.mark.parametrize("name", ["reef/mixed", "wreck/1"])
 def test_a_look_agrees_with_the_pixels_of_the_renderer(name: str) -> None:
     compare_with_the_renderer(name, poses=15)

@@ -15,6 +15,7 @@ from dream.sim.worlds import make_world, open_world, origin
 from tests.sim.made import made
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize(
     ("name", "given", "called"),
     [

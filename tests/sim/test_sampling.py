@@ -94,6 +94,7 @@ def test_the_other_library_is_off_by_one_or_two_units_in_the_last_place() -> Non
     assert units.max() <= 4.0
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize(
     "name", [pytest.param("wreck/2", marks=pytest.mark.slow), "wreck/3", "reef/patch", "reef/K", "pool/arc"]
 )
@@ -108,6 +109,7 @@ def test_a_world_does_not_depend_on_the_last_digits_of_a_library(
     assert world_hash(again) == world_hash(made(name))
 
 
+@pytest.mark.rare
 def test_a_world_does_not_depend_on_the_processor() -> None:
     # NumPy and its linear algebra then take the paths of the oldest processor that they support.
     core = importlib.import_module("numpy._core._multiarray_umath")

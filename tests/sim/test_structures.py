@@ -72,6 +72,7 @@ def test_the_same_wreck_twice_is_two_wrecks() -> None:
     assert west.sum() != (~west).sum()
 
 
+@pytest.mark.rare
 def test_each_wreck_stays_as_it_was_on_ground_of_its_own() -> None:
     west, east = made("wreck/2", 3), made("wreck/3", 3)
     world = beside(west, east)
@@ -140,6 +141,7 @@ def test_the_starts_are_free_and_lead_to_one_another(name: str) -> None:
         assert lattice.reachable[at]
 
 
+@pytest.mark.rare
 def test_the_reef_lives_on_and_the_wreck_stays() -> None:
     before, after = made(GROWN), make_world(f"{GROWN}+2y1", 1)
     np.testing.assert_array_equal(hull_corners(after), hull_corners(before))

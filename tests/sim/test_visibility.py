@@ -271,6 +271,7 @@ def test_a_world_without_individuals_has_none_to_see() -> None:
     assert Visibility(arena(), POOL_V1).seen(np.zeros((5, 3))).shape == (5, 0)
 
 
+@pytest.mark.rare
 @pytest.mark.parametrize(("name", "missed", "unseen"), [("reef/mixed", 0.03, 0.01), ("wreck/3", 0.24, 0.01)])
 def test_the_renderer_sees_the_same_individuals(name: str, missed: float, unseen: float) -> None:
     """Of what shows 3 pixels within reach, and of what is seen, few belong to only one of the two.

@@ -52,6 +52,7 @@ def test_every_name_of_the_protocol_page_has_a_world() -> None:
     assert tuple(BUILDERS) == WORLDS
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize(
     ("name", "seed", "digits"),
     [

@@ -83,6 +83,7 @@ def edges(found: Wreck) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
     return millimetres[first][np.stack(np.divmod(pairs, len(places)), axis=1)], counts
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("number", NUMBERS)
 def test_what_stands_is_12_to_25_metres_long_and_lies_about_the_origin(number: int) -> None:
     found = built(number)
@@ -139,6 +140,7 @@ def test_nothing_is_wholly_buried(number: int) -> None:
     assert corners(built(number))[:, :, 2].max(axis=1).min() > -0.1
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("number", [*(pytest.param(n, marks=pytest.mark.slow) for n in (1, 2, 3)), 4, 5])
 def test_the_same_generator_builds_the_same_wreck(number: int) -> None:
     first, again = built(number), wreck(number, np.random.default_rng(7))

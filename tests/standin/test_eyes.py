@@ -35,6 +35,7 @@ def full(bounds: Bounds, protocol: SurveyProtocol, seed: int) -> np.ndarray:
     return random_cells(shape, seed)
 
 
+@pytest.mark.few(4)
 @pytest.mark.parametrize("bounds, protocol", ARENAS)
 @pytest.mark.parametrize("seed", range(4))
 def test_scale_origin_pose_and_cells_are_read_as_drawn(
@@ -64,6 +65,7 @@ def test_scale_origin_pose_and_cells_are_read_as_drawn(
     np.testing.assert_array_equal(chart.cells[clear], shown[clear])
 
 
+@pytest.mark.rare
 @settings(max_examples=25, deadline=None)
 @given(
     st.integers(-44, 44), st.integers(-44, 44), st.integers(0, 23), st.integers(0, 3)
@@ -75,6 +77,7 @@ def test_every_pose_is_read(x: int, y: int, heading: int, seed: int) -> None:
     assert off(chart.yaw, pose.yaw) < 4.0
 
 
+@pytest.mark.rare
 @settings(max_examples=25, deadline=None)
 @given(st.data())
 def test_every_mark_is_read_with_its_number(data: st.DataObject) -> None:

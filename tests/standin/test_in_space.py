@@ -49,6 +49,7 @@ def asked(**changed: bytes) -> dict[str, Any]:
     return answer(request(PLAIN, shown() | changed, text()))
 
 
+@pytest.mark.rare
 def test_an_action_fits_its_schema_and_says_climb_and_tilt() -> None:
     said = asked()
     PLAIN.model_validate(said)

@@ -121,6 +121,7 @@ ASK_ACTION = request(ACTION, SHOWN, TEXT)
 ASK_RANKING = request(RANKING, PLACES)
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("fault", ["random", "first", "mirrored", "worst", "wall", "error:1", "error:0"])
 @pytest.mark.parametrize("asking, reply", [(ASK_ACTION, ACTION), (ASK_RANKING, RANKING)])
 def test_a_wrong_answer_is_well_formed_and_the_same_each_time(fault: str, asking: Any, reply: Any) -> None:
@@ -129,6 +130,7 @@ def test_a_wrong_answer_is_well_formed_and_the_same_each_time(fault: str, asking
     assert asked(fault, asking) == said
 
 
+@pytest.mark.rare
 def test_what_the_wrong_answers_are() -> None:
     right, order = answer(ASK_ACTION), answer(ASK_RANKING)["ranking"]
     assert asked("error:0", ASK_ACTION) == right
@@ -147,6 +149,7 @@ def test_what_the_wrong_answers_are() -> None:
     assert "instruction" in injected
 
 
+@pytest.mark.rare
 def test_some_of_many_questions_are_answered_wrong() -> None:
     right = answer(ASK_RANKING)["ranking"]
     orders = [asked("error:0.5", request(RANKING, PLACES, f"question {k}"))["ranking"] for k in range(16)]
@@ -160,6 +163,7 @@ def test_a_stale_answer_is_one_to_an_earlier_question() -> None:
     assert asked("stale:1", ASK_RANKING)["ranking"] == [9, 1]
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize(
     "fault, fallback",
     [
@@ -211,6 +215,7 @@ def test_the_page_about_models_says_of_every_fault_what_it_does() -> None:
     assert sorted(named) == sorted(FAULTS)
 
 
+@pytest.mark.rare
 @pytest.mark.slow
 def test_a_mission_sees_a_reef_by_what_the_stand_in_reads() -> None:
     world = make_world("reef/string", 3)
@@ -227,6 +232,7 @@ def test_a_mission_sees_a_reef_by_what_the_stand_in_reads() -> None:
     assert seen > 0.5
 
 
+@pytest.mark.rare
 def test_a_mission_of_the_pool_begins_without_a_fault() -> None:
     for step in simulate(make_world("pool/arc", 1), Dream(model="wire"), POOL_V1, max_steps=12):
         assert not step.arrival.collided

@@ -536,6 +536,7 @@ def _writer(where: str, name: str, count: int) -> subprocess.Popen[str]:
     )
 
 
+@pytest.mark.rare
 def test_writers_at_once_lose_nothing(where: str) -> None:
     """They even begin the archive at once."""
     writers = [_writer(where, f"writer{k}", 5) for k in range(3)]
@@ -548,6 +549,7 @@ def test_writers_at_once_lose_nothing(where: str) -> None:
     assert len({number for number, _ in said}) == 15
 
 
+@pytest.mark.rare
 def test_a_writer_that_is_killed_loses_nothing_that_it_said_it_kept(where: str) -> None:
     rng = random.Random(5)
     said: dict[str, int] = {}
@@ -610,6 +612,7 @@ with open_archive(sys.argv[1]) as archive:
 """
 
 
+@pytest.mark.rare
 def test_a_replacement_that_is_killed_leaves_one_whole_survey(where: str) -> None:
     rng = random.Random(7)
     with open_archive(where, begin=True) as archive:

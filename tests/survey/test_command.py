@@ -112,6 +112,7 @@ def added(words: str, capsys: pytest.CaptureFixture[str]) -> tuple[str, list[lis
     return told, [shlex.split(line)[1:] for line in lines if line.startswith("dream ")]
 
 
+@pytest.mark.rare
 def test_what_is_added_is_told_with_what_can_be_done_next(
     two: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -162,6 +163,7 @@ def test_where_there_is_no_archive_those_near_are_named(
     assert len(said(f"survey list --archive {newer}", capsys)["surveys"]) == 1
 
 
+@pytest.mark.rare
 def test_in_a_small_terminal_each_figure_stands_on_one_line(
     two: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -181,6 +183,7 @@ def test_in_a_small_terminal_each_figure_stands_on_one_line(
     assert "…" not in printed
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("name", ["[/]", r"\[/]", r"\\[/]", "[bold]"])
 def test_names_that_look_like_markup_are_printed_as_they_are(
     name: str, two: Path, capsys: pytest.CaptureFixture[str]
@@ -200,6 +203,7 @@ def test_names_that_look_like_markup_are_printed_as_they_are(
         assert name in "".join(capsys.readouterr().out.split("\n")), words
 
 
+@pytest.mark.rare
 def test_surveys_the_wrong_way_round_or_made_in_two_ways_are_doubted(
     two: Path, capsys: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -225,6 +229,7 @@ def test_surveys_the_wrong_way_round_or_made_in_two_ways_are_doubted(
         assert all(doubt.removeprefix("compare: ").casefold() in page for doubt in told)
 
 
+@pytest.mark.rare
 def test_a_change_is_not_written_over_that_of_other_surveys(
     two: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -267,6 +272,7 @@ def test_the_archive_is_the_one_that_is_named_else_that_of_the_environment(
     assert not (two / "surveys.gpkg").exists()
 
 
+@pytest.mark.few(4)
 @pytest.mark.parametrize(
     "words, expected",
     [

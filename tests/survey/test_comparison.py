@@ -80,6 +80,7 @@ def less() -> list[Comparison]:
 # --- One on the other
 
 
+@pytest.mark.rare
 def test_a_drift_is_found_to_a_fraction_of_a_cell_and_the_covariance_says_so() -> None:
     """The normalised square of the error is near its 3 degrees of freedom."""
     squares = []
@@ -106,6 +107,7 @@ def test_a_drift_is_found_to_a_fraction_of_a_cell_and_the_covariance_says_so() -
     assert 0.5 < np.mean(squares) < 9.0
 
 
+@pytest.mark.rare
 @pytest.mark.parametrize("off", [2.2, 6.4, 11.0])
 def test_an_origin_that_is_off_by_metres_is_found_out_and_told_of(off: float) -> None:
     a, b = pair(3, how=STILL)
@@ -119,6 +121,7 @@ def test_an_origin_that_is_off_by_metres_is_found_out_and_told_of(off: float) ->
     assert right.note == ""
 
 
+@pytest.mark.rare
 def test_a_long_reef_is_laid_along_all_of_it() -> None:
     """Half a degree between two turns that are tried moves its ends by more than individuals are apart."""
     rng = np.random.default_rng(1)
@@ -157,6 +160,7 @@ def test_origins_that_are_far_apart_cost_no_more(off: float) -> None:
     assert found.by == "poses"
 
 
+@pytest.mark.rare
 def test_another_reef_is_not_laid_on_this_one() -> None:
     for seed in range(2):
         rng = np.random.default_rng(seed)
@@ -259,6 +263,7 @@ def test_a_survey_held_against_itself_has_not_changed() -> None:
         assert difference.low < 0.0 < difference.high
 
 
+@pytest.mark.rare
 def test_nothing_that_did_not_change_is_told_as_changed(same: list[Comparison]) -> None:
     verdicts = [patch.verdict for one in same for patch in one.patches]
     assert len(verdicts) == 6 * len(AREAS)
@@ -374,6 +379,7 @@ def other(patch: int, share: float, seed: int) -> tuple[Survey, Survey]:
     )
 
 
+@pytest.mark.rare
 def test_as_many_deaths_as_arrivals_are_mixed_though_the_count_stays() -> None:
     told = [COMPARING.compare(*other(1, 0.2, seed)) for seed in range(6)]
     assert sum(one.patches[1].verdict == "mixed" for one in told) >= 5
@@ -382,6 +388,7 @@ def test_as_many_deaths_as_arrivals_are_mixed_though_the_count_stays() -> None:
     assert np.mean([count.p > 0.05 for count in counts]) > 0.6
 
 
+@pytest.mark.rare
 def test_fewer_but_larger_are_mixed_and_larger_alone_a_gain() -> None:
     rng = np.random.default_rng(3)
     before = reef(rng)
@@ -670,6 +677,7 @@ for folder in map(Path, sys.argv[1:]):
 """
 
 
+@pytest.mark.rare
 def test_on_a_full_disk_no_part_of_the_change_is_written_and_what_was_there_stays(
     same: list[Comparison], tmp_path: Path
 ) -> None:
@@ -833,6 +841,7 @@ def half(survey: Survey, *, east: bool) -> Survey:
     return replace(survey, layers=replace(survey.layers, state=state))
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize(
     ("kind", "says"),
     [

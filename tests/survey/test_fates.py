@@ -93,6 +93,7 @@ def test_where_none_is_gone_p_is_as_likely_below_any_level_as_the_level_says() -
     assert (p < 0.0125).mean() < 0.02
 
 
+@pytest.mark.rare
 def test_the_interval_holds_the_share_that_is_gone() -> None:
     rng = np.random.default_rng(2)
     strength = 1.0 / ALIKE - 1.0

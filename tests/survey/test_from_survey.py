@@ -59,6 +59,7 @@ def again(surveyed: Surveyed, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return flown(out, f"--world {LATER} --from-survey 1 --archive {surveyed.archive}")
 
 
+@pytest.mark.rare
 def test_a_simulated_year_is_a_year_between_two_surveys(
     surveyed: Surveyed, tmp_path: Path, capsys: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -126,6 +127,7 @@ def test_its_words_name_the_survey_and_its_age_and_the_run_keeps_what_it_was_tol
         np.testing.assert_array_equal(prior["solid"], np.isin(survey.layers.state, (3, 4)))
 
 
+@pytest.mark.rare
 @pytest.mark.parametrize("what", ["run", "file"])
 def test_a_survey_is_the_same_by_its_run_or_its_file_as_by_its_number(
     what: str, surveyed: Surveyed, again: Path, tmp_path: Path
@@ -151,6 +153,7 @@ def test_the_number_is_looked_up_in_the_archive_that_is_named_else_in_that_of_th
     assert "there.gpkg: expected an archive of surveys, got no file" in error
 
 
+@pytest.mark.rare
 @pytest.mark.parametrize("keeping", ["", "--keep-observations"], ids=["flown again", "played back"])
 def test_a_replay_decides_as_then_by_what_was_kept_of_the_survey(
     keeping: str, surveyed: Surveyed, again: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]

@@ -96,6 +96,7 @@ def values(survey: Survey) -> dict[str, float]:
     return {told.name: told.value for told in survey.measures if told.value is not None}
 
 
+@pytest.mark.rare
 def test_individuals_of_a_patch_are_counted_within_the_interval(
     survey: Survey, world: World, middle: tuple[float, float]
 ) -> None:
@@ -268,6 +269,7 @@ def test_none_found_is_not_none_for_sure(shapes: tuple[_Shape, ...]) -> None:
         assert told["density"].high == pytest.approx(3.0 / 4.0)
 
 
+@pytest.mark.rare
 def test_a_wreck_is_known_by_what_it_is() -> None:
     wreck = make_world("wreck/2", 1)
     x, y = np.asarray(wreck.targets.position[:, :2], np.float64).mean(axis=0)
@@ -364,6 +366,7 @@ def as_a_dive(run: Path, to: Path, *, stand_in: bool) -> Path:
     return dive
 
 
+@pytest.mark.rare
 @pytest.mark.parametrize("stand_in", [False, True])
 def test_a_dive_is_simulated_only_in_the_stand_in_and_every_file_says_so(
     run: Path, tmp_path: Path, stand_in: bool

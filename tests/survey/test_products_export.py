@@ -80,6 +80,7 @@ def test_a_survey_of_elsewhere_is_left_out_of_the_series_and_all_else_is_written
     assert list(dict.fromkeys(row["survey"] for row in rows)) == ["near", now.name]
 
 
+@pytest.mark.rare
 def test_without_an_origin_reports_and_tables_still_come(tmp_path: Path) -> None:
     made = export(reef(site=None), tmp_path / "out", species=OYSTER, run=tmp_path)
     assert made.files == ("README.md", "individuals.csv", "measures.csv", "report.html", "report.pdf")
@@ -151,6 +152,7 @@ def test_a_damaged_survey_is_refused(damage: Callable[[Survey], Survey], says: s
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.rare
 def test_where_the_disk_is_full_nothing_is_left(tmp_path: Path) -> None:
     """No file may grow beyond a limit, by the system itself: several at four sizes, and each by itself at one
     that its largest file exceeds and README.md does not."""
@@ -266,6 +268,7 @@ def test_the_command_tells_how_all_surveys_of_the_site_in_the_archive_went(
     assert not re.search("elsewhere|of a wreck", caplog.text), "of those nobody asked"
 
 
+@pytest.mark.rare
 def test_an_archive_that_is_not_there_or_damaged_hinders_no_export(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:

@@ -222,6 +222,7 @@ def test_surveys_of_one_time_each_have_a_time_of_their_own(tmp_path: Path) -> No
     assert ((bounds[:, 0] <= time) & (time <= bounds[:, 1])).all()
 
 
+@pytest.mark.rare
 @pytest.mark.parametrize("heading", [0.0, 40.0])
 def test_maps_lie_as_the_individuals_do_where_site_files_err(heading: float, tmp_path: Path) -> None:
     """The site file of the later one has moved by 3 m, and its world by a hand."""
@@ -307,6 +308,7 @@ def test_the_box_of_a_survey_on_the_date_line_is_narrow(
         assert (other - one) % 360.0 < 0.001
 
 
+@pytest.mark.rare
 def test_every_file_of_a_simulated_survey_says_so(tmp_path: Path) -> None:
     """And none of a real one."""
     for name, survey in (("made-up", reef()), ("real", replace(reef(), made_by={"version": "0.1.0"}))):
@@ -626,6 +628,7 @@ def test_a_page_that_loads_nothing_and_tells_every_measure(survey: Any, tmp_path
         ET.fromstring(base64.b64decode(load.partition(",")[2]))
 
 
+@pytest.mark.rare
 def test_words_of_a_stranger_stay_words(tmp_path: Path) -> None:
     evil = "<script>alert(1)</script>$\\frac{"
     survey = replace(
@@ -644,6 +647,7 @@ def test_words_of_a_stranger_stay_words(tmp_path: Path) -> None:
     pdf.write(survey, tmp_path / "report.pdf")
 
 
+@pytest.mark.rare
 def test_a_pdf_of_three_pages_that_is_the_same_again(tmp_path: Path) -> None:
     for name in ("one", "two"):
         pdf.write(reef(), tmp_path / f"{name}.pdf")
@@ -693,6 +697,7 @@ def test_figures_have_the_digits_that_they_are_worth(measure: Measure, value: st
     assert words.interval_text(measure) == interval
 
 
+@pytest.mark.rare
 def test_only_sizes_that_were_measured_are_drawn_and_none_where_none_was(tmp_path: Path) -> None:
     found = reef().individuals
     _, axes = sheet.new_figure(4.0, 3.0)

@@ -104,6 +104,7 @@ def test_the_same_surveys_give_the_same_picture(tmp_path: Path) -> None:
     assert (tmp_path / "one/series.png").read_bytes() == (tmp_path / "two/series.png").read_bytes()
 
 
+@pytest.mark.rare
 def test_reports_show_the_series_where_there_is_one(tmp_path: Path) -> None:
     several = surveys(0, 365)
     for told in ([], several[:1], several):

@@ -111,6 +111,7 @@ def boxes(request: pytest.FixtureRequest) -> Survey:
     return surveyed(seen, Bounds(-9.0, -9.0, 9.0, 9.0), request.param)
 
 
+@pytest.mark.rare
 def test_the_outline_of_a_box_is_its_area(boxes: Survey) -> None:
     area = told(boxes)["outline_area"]
     assert area.value == pytest.approx(AREA, rel=0.03)
@@ -178,6 +179,7 @@ def test_many_looks_from_afar_do_not_raise_the_highest_point() -> None:
     assert not top.cut
 
 
+@pytest.mark.rare
 def test_a_mast_that_the_image_cuts_off_may_be_higher() -> None:
     blank = np.zeros((DREAM_V1.camera.height, DREAM_V1.camera.width, 3), np.uint8)
     seen = []
@@ -285,6 +287,7 @@ def of_the_tug(world: World, protocol: SurveyProtocol) -> list[Observation]:
     return seen
 
 
+@pytest.mark.rare
 def test_a_tug_has_its_outline_and_height_in_the_intervals_for_all_the_noise() -> None:
     tug = make_world("wreck/4", 7201)
     low, high = (one(corners_of(tug)[..., :2], axis=(0, 1)) for one in (np.min, np.max))

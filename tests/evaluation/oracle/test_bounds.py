@@ -111,6 +111,7 @@ def test_a_tour_flown_in_the_simulator_scores_its_share_at_its_step(
 
 
 # Around the start: in all of a world a graph takes long, and a tour of a wreck is flown for long.
+@pytest.mark.rare
 @pytest.mark.parametrize(
     ("name", "area"),
     [("reef/string", Bounds(-20.0, 0.0, 0.0, 20.0)), ("wreck/1", Bounds(-20.0, -12.0, -4.0, 4.0))],
@@ -352,6 +353,7 @@ def test_noise_changes_no_bounds() -> None:
         assert bounds.protocol == name
 
 
+@pytest.mark.rare
 @pytest.mark.parametrize("suite", PAPER_OFTEN)
 def test_bounds_that_come_with_the_package_are_of_the_worlds_of_today(suite: str) -> None:
     cases = _bounded(suite)
@@ -361,6 +363,7 @@ def test_bounds_that_come_with_the_package_are_of_the_worlds_of_today(suite: str
         assert bounds.world_hash == world_hash(make_world(case.world, case.seed)), case
 
 
+@pytest.mark.rare
 @pytest.mark.parametrize("suite", PAPER_OFTEN)
 def test_bounds_that_come_with_the_package_hold(suite: str) -> None:
     cases = _bounded(suite)

@@ -41,6 +41,7 @@ def moved(pose: tuple[float, float, float], action: tuple[int, float]) -> SE2:
     return SE2(pose[0] + east * step, pose[1] + north * step, heading * DREAM_V1.heading_step)
 
 
+@pytest.mark.rare
 def test_arcs_are_the_moves_that_a_sweep_finds_free(graph: PoseGraph, visibility: Visibility) -> None:
     rng = np.random.default_rng(0)
     pose_of = {key(*pose): k for k, pose in enumerate(graph.poses.tolist())}

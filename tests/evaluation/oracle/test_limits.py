@@ -201,6 +201,7 @@ def test_verify_agrees_with_brute_force_on_any_witnesses(
         assert answers == [n <= enough for n in range(enough + 3)]
 
 
+@pytest.mark.rare
 @pytest.mark.parametrize("may_miss", [0, 3])
 def test_more_witnesses_than_a_word_has_bits_are_told_apart(may_miss: int) -> None:
     half = 33
@@ -214,6 +215,7 @@ def test_more_witnesses_than_a_word_has_bits_are_told_apart(may_miss: int) -> No
     assert not verify(graph, may_miss, witnesses[:64], enough)
 
 
+@pytest.mark.rare
 @given(random_graphs(), st.integers(0, 4), st.data())
 def test_the_tables_are_the_fewest_actions_from_every_pose(
     graph: PoseGraph, may_miss: int, data: st.DataObject

@@ -36,6 +36,7 @@ def fallbacks(steps: list[Step]) -> list[str]:
     return [exchange.fallback for step in steps for exchange in step.decision.exchanges]
 
 
+@pytest.mark.rare
 @pytest.mark.parametrize("name", ["dream", "vanilla", "ranked"])
 def test_the_stand_in_reads_every_picture_that_it_is_sent(name: str, string_reef: World) -> None:
     steps = fly(name, "wire", string_reef, 6 if name != "ranked" else 12)
@@ -44,6 +45,7 @@ def test_the_stand_in_reads_every_picture_that_it_is_sent(name: str, string_reef
     assert sum(step.arrival.distance for step in steps) > 5.0
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("fault", UNANSWERED)
 def test_a_model_that_gives_no_answer_is_flown_without(fault: str, string_reef: World) -> None:
     timeout = 1.0 if UNANSWERED[fault] == "timeout" else 60.0
@@ -53,6 +55,7 @@ def test_a_model_that_gives_no_answer_is_flown_without(fault: str, string_reef: 
     assert not any(step.guarded.note or step.arrival.collided for step in steps)
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize(
     ("name", "fault"), [("dream", fault) for fault in WRONG[::3]] + [("ranked", fault) for fault in WRONG]
 )

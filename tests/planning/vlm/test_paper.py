@@ -89,6 +89,7 @@ def test_it_is_shown_the_camera_depth_labels_and_the_map(string_reef: World) -> 
     assert {UNKNOWN, EXPLORED, TARGET} <= colors
 
 
+@pytest.mark.rare
 def test_a_blocked_move_and_a_done_that_is_refused_are_told(string_reef: World) -> None:
     script = saying(
         acting("forward", 0, 0, done=True), *[acting("forward", 0, 2)] * 5, acting("forward", 0, 0)
@@ -117,6 +118,7 @@ def test_without_an_answer_the_offline_planner_decides_that_step(string_reef: Wo
         assert step.decision.exchanges[0].outcome == ""
 
 
+@pytest.mark.rare
 def test_a_mission_without_any_answer_is_no_success_of_who_was_to_decide() -> None:
     small = replace(arena(), bounds=Bounds(-6.0, -6.0, 6.0, 6.0))
 
@@ -144,6 +146,7 @@ def test_what_earlier_legs_spent_counts_towards_the_budget(string_reef: World) -
     assert len(server.asked) == 1
 
 
+@pytest.mark.rare
 def test_the_offline_planner_stands_ready_wherever_the_model_went(string_reef: World) -> None:
     script = saying(acting("left", 90, 2), acting("forward", 0, 2), acting("right", 60, 1))
     with serving(*script, error(418)) as server:
@@ -153,6 +156,7 @@ def test_the_offline_planner_stands_ready_wherever_the_model_went(string_reef: W
     assert sum(step.arrival.distance for step in steps[3:]) > 5.0
 
 
+@pytest.mark.rare
 @pytest.mark.parametrize("planner", [Dream, Vanilla])
 def test_the_same_replies_give_the_same_mission(planner: type[Dream | Vanilla], string_reef: World) -> None:
     flights = []

@@ -49,6 +49,7 @@ def led() -> tuple[list[Step], list[str]]:
         return steps, [request.question for request in server.asked]
 
 
+@pytest.mark.rare
 def test_what_the_model_says_of_climb_and_tilt_is_what_is_decided(led: tuple[list[Step], list[str]]) -> None:
     steps, _ = led
     said = [

@@ -110,6 +110,7 @@ def led(string_reef: World) -> Flight:
     return fly(ranking(last_first), string_reef, 30)
 
 
+@pytest.mark.rare
 def test_schema_table_and_picture_have_the_same_places(led: Flight) -> None:
     assert len(led.exchanges) >= 3
     for request, exchange in zip(led.asked, led.exchanges, strict=False):
@@ -174,6 +175,7 @@ def own_first(request: Request) -> Response:
     return ranking(lambda numbers: sorted(numbers, key=lambda number: number != own))(request)
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize(
     ("answer", "options", "outcome"),
     [
@@ -252,6 +254,7 @@ def test_it_can_be_told_to_wait_as_the_papers_vehicle_does(string_reef: World) -
     assert all(seconds == pytest.approx(LATENCY) for seconds in waited)
 
 
+@pytest.mark.rare
 def test_the_end_needs_the_model_too_but_it_cannot_put_it_off_for_long() -> None:
     small = replace(arena(), bounds=Bounds(-8.0, -8.0, 8.0, 8.0))
     usual = {"margin": 2.0, "weight": 3.0, "allowance": 0.1}

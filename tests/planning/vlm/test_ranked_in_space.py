@@ -156,6 +156,7 @@ def test_a_choice_is_followed_within_what_choices_may_cost() -> None:
     assert 0.0 < spent[-1] <= 10.0 * (LOOK_AROUND + 6) + 1.0
 
 
+@pytest.mark.rare
 @pytest.mark.parametrize(("answer", "options"), [(error(418), {}), (ranking(confidence=0.0), {})])
 def test_otherwise_it_flies_as_the_offline_planner_does(answer: Any, options: dict[str, Any]) -> None:
     decisions, exchanges, spent = fly(answer, 3, **options)

@@ -147,6 +147,7 @@ def _last_first(numbers: list[int]) -> list[int]:
     return sorted(numbers, reverse=True)
 
 
+@pytest.mark.rare
 def test_schema_table_and_pixels_of_the_map_name_the_same_places(questions: list[list[Sent]]) -> None:
     assert len(questions) >= 3
     for votes in questions:
@@ -168,6 +169,7 @@ def _check_agreement(sent: Sent) -> None:
         assert math.dist((x, y), drawn[number]) < pixel
 
 
+@pytest.mark.rare
 def test_a_numbered_place_is_one_that_moves_over_known_ground_lead_to(questions: list[list[Sent]]) -> None:
     """But for the offline planner's own: it may end where only what is seen on the way shows free ground."""
     for votes in questions:
@@ -403,6 +405,7 @@ TURNED = [(seed, True, turned) for seed in SEEDS for turned in QUARTERS]
 IN_THE_MIRROR = [(seed, False, turned) for seed in SEEDS for turned in MIRRORED]
 
 
+@pytest.mark.few(4)
 @pytest.mark.parametrize(("seed", "solids", "turned"), TURNED + IN_THE_MIRROR)
 def test_steps_and_views_turn_with_the_world(seed: int, solids: bool, turned: Turned) -> None:
     first, other = held(seed, solids), held(seed, solids, turned)
@@ -490,6 +493,7 @@ def _ranked(question: Question[Ranking]) -> dict[str, Any]:
     return reply
 
 
+@pytest.mark.rare
 @pytest.mark.parametrize(("seed", "area"), [(0, None), (1, None), (2, Bounds(-6.0, -6.0, 6.0, 6.0))])
 def test_at_the_end_every_place_is_feasible_and_so_it_is_where_a_part_is_to_be_seen(
     seed: int, area: Bounds | None
@@ -540,6 +544,7 @@ def _read(
     return reply, [numbers.index(number) for number in reply["ranking"]], in_view
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize(
     ("seed", "solids", "turned"), [*TURNED[::4], (0, False, MIRRORED[0]), (1, False, MIRRORED[1])]
 )

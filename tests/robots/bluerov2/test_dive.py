@@ -173,6 +173,7 @@ def test_every_topic_of_its_log_is_told_in_the_page_of_files(dive: Path) -> None
     assert set(told) - set(logged) <= {"/camera/video", "/camera/image", "/a50/sent", "/standing", "/log"}
 
 
+@pytest.mark.rare
 @pytest.mark.slow
 def test_a_page_shows_it_from_the_beginning_and_holds_up_nothing(second: Path) -> None:
     (begun, before), (ended, after) = SHOWN
@@ -271,6 +272,7 @@ def test_a_replay_decides_as_the_dive_did(dive: Path) -> None:
     ]
 
 
+@pytest.mark.rare
 @pytest.mark.slow
 def test_a_dive_with_a_site_is_measured_and_written_for_others_at_its_place(
     dive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -345,6 +347,7 @@ def test_a_dive_plans_with_an_earlier_survey_and_keeps_what_it_was_told(
     assert (again["from"], again["agree"]) == ("observations", again["steps"])
 
 
+@pytest.mark.rare
 def test_before_a_dive_with_a_survey_ways_round_what_it_foretells_are_rehearsed(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -694,6 +697,7 @@ def test_a_dive_that_cannot_be_is_refused_at_the_desk(
     assert not out.exists()
 
 
+@pytest.mark.rare
 @pytest.mark.parametrize("taken", ["vehicle", "pilot"])
 def test_a_port_that_another_program_has_is_told_with_who_that_may_be(
     taken: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -884,6 +888,7 @@ def _written_to(target: object) -> str:
     return str(target if isinstance(target, Path) else getattr(target, "name", ""))
 
 
+@pytest.mark.rare
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("place", "leaks", "said"),
@@ -941,6 +946,7 @@ def test_where_things_sit_is_kept_with_the_dive(tmp_path: Path) -> None:
     assert mounting_told(told).T_base_dvl.translation == pytest.approx([0.1, 0.0, -0.2])
 
 
+@pytest.mark.rare
 @pytest.mark.slow
 def test_the_dvl_is_told_how_fast_sound_goes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "check").mkdir()

@@ -236,6 +236,7 @@ def climbing_late(references: deque[tuple[float, float]], now: float) -> float:
     return [z for t, z in references if t <= now - CLIMB_LAG or t == 0.0][-1]
 
 
+@pytest.mark.rare
 @given(st.floats(-1.5, 1.5))
 def test_a_vehicle_that_climbs_by_its_lag_is_asked_for_the_references_rate_and_no_more(goal: float) -> None:
     reference = 0.0
@@ -248,6 +249,7 @@ def test_a_vehicle_that_climbs_by_its_lag_is_asked_for_the_references_rate_and_n
     assert reference == pytest.approx(goal)
 
 
+@pytest.mark.rare
 @settings(max_examples=20)
 @given(st.floats(-1.0, 1.0), st.floats(0.3, 0.9), st.floats(0.0, 0.5))
 def test_a_depth_that_answers_late_comes_to_rest_and_overshoots_by_no_more_than_its_lag_was_misjudged(
@@ -369,6 +371,7 @@ def lagging(references: deque[tuple[float, float]], now: float) -> float:
     return [yaw for t, yaw in references if t <= max(now - TURN_LAG, 0.0)][-1]
 
 
+@pytest.mark.rare
 @given(st.floats(-3.1, 3.1))
 def test_a_vehicle_that_follows_by_its_lag_is_asked_for_the_references_rate_and_no_more(goal: float) -> None:
     for k, (drive, order, _) in enumerate(turned(goal, lagging)):
@@ -457,6 +460,7 @@ def in_water(link: Any, depth: float) -> AltHold:
     return drive
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("to", [2.6, 3.4])
 @pytest.mark.parametrize("placed", [False, True])
 @pytest.mark.parametrize("zero", [0.0, 49.0, -49.0])

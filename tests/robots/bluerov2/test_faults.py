@@ -114,6 +114,7 @@ def test_every_fault_is_here() -> None:
     assert set(NAMED) >= OFTEN
 
 
+@pytest.mark.few(3)
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "fault",
@@ -134,6 +135,7 @@ def test_a_fault_is_named_ends_all_motion_and_leaves_no_vehicle_armed(fault: Fau
     assert outcome.slid > 0.05
 
 
+@pytest.mark.rare
 def test_a_dive_that_is_over_is_never_moved_again_but_up(tmp_path: Path) -> None:
     with Drill(tmp_path) as drill:
         drain = drill.standin.tank.drain
@@ -160,6 +162,7 @@ def test_the_same_fault_takes_the_same_course(tmp_path: Path) -> None:
     assert (one.slid, one.off, one.last_motion) == (other.slid, other.off, other.last_motion)
 
 
+@pytest.mark.rare
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["the DVL stays silent", "water comes in", "the link stays dead"])
 def test_by_velocities_it_ends_as_well(name: str, tmp_path: Path) -> None:
@@ -174,6 +177,7 @@ def test_no_thread_of_a_drill_is_left(tmp_path: Path) -> None:
     assert threading.active_count() <= before + 1
 
 
+@pytest.mark.rare
 @pytest.mark.slow
 @pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGSTOP])
 def test_a_program_that_is_killed_leaves_a_vehicle_that_disarms_and_a_log_that_reads(

@@ -203,6 +203,7 @@ def test_one_that_cannot_be_disarmed_is_not_spoken_to_until_its_failsafe_has_don
         assert any("left to its failsafe" in trouble for trouble in scene.home.troubles)
 
 
+@pytest.mark.rare
 def test_one_that_comes_up_too_slowly_is_disarmed_and_where_that_is_refused_it_begins_again() -> None:
     with at_sea(depth=60.0, refuses=Counter(disarm=1)) as scene:
         began = scene.clock()
@@ -269,6 +270,7 @@ def test_a_surface_that_turns_into_alt_hold_at_the_top_is_no_other_hand() -> Non
         assert not scene.diver.armed
 
 
+@pytest.mark.rare
 @settings(max_examples=30)
 @given(
     lifts=st.sets(st.sampled_from(["SURFACE", "ALT_HOLD", "MANUAL"])),

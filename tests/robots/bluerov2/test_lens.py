@@ -91,6 +91,7 @@ def test_rays_of_a_fisheye_land_where_opencv_says() -> None:
     assert np.abs(lens(FISHEYE, fisheye=True).pixels(rays) - want[0]).max() < 1e-6
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("seen_by", LENSES)
 @pytest.mark.parametrize("factor", [1, 2])
 def test_a_distorted_grid_becomes_straight(seen_by: Lens, factor: int) -> None:

@@ -78,6 +78,7 @@ def aligned(estimator: str = "inekf") -> Navigator:
     return navigator
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("estimator", ESTIMATORS)
 def test_it_follows_a_vehicle_on_a_circle(estimator: str) -> None:
     navigator = aligned(estimator)
@@ -276,6 +277,7 @@ def turned_by(jump: float, since: float) -> Spoil:
     return spoil
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("estimator", ESTIMATORS)
 @pytest.mark.parametrize("jump_deg", [3.8, -3.8, 20.0, 179.0])
 def test_a_heading_that_jumps_under_way_has_a_new_zero_and_nobody_is_turned(
@@ -513,6 +515,7 @@ class Swim:
                 yield self.navigator.update()
 
 
+@pytest.mark.rare
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_an_honest_dive_keeps_its_zeros_and_its_gauge(seed: int) -> None:
     swim = Swim(seed)
@@ -532,6 +535,7 @@ def rising(swim: Swim, rate: float) -> Spoil:
     return lambda m: replace(m, velocity=m.velocity + np.array([0.0, 0.0, rate])) if isinstance(m, Dvl) else m
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("rate", [0.05, -0.05])
 @pytest.mark.parametrize("fault", [sliding, rising])
 def test_a_gauge_or_a_floor_that_moves_by_five_centimetres_a_second_is_told_within_ten(

@@ -175,6 +175,7 @@ def honest(kind: str, seed: int) -> Track:
     )
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("kind", ["flat", "30°", "45°", "up a wall", "down a wall", "waves", "low waves"])
 @pytest.mark.parametrize("seed", [1, 2])
 def test_on_real_ground_nothing_is_wrong_and_its_height_is_known(kind: str, seed: int) -> None:

@@ -68,12 +68,14 @@ WRONGS: tuple[Wrong, ...] = (noisy, encoded, clocked, snowy, exposed, exposed_an
 scenes = pytest.mark.parametrize("scene", SCENES)
 
 
+@pytest.mark.few(5)
 @scenes
 @pytest.mark.parametrize("wrong", [as_it_is, *WRONGS, lit_and_noisy, gripping])
 def test_a_camera_that_lives_is_never_taken_for_a_frozen_one(scene: str, wrong: Wrong) -> None:
     assert set(SCENES[scene]().told(wrong)) == {""}
 
 
+@pytest.mark.few(7)
 @scenes
 @pytest.mark.parametrize("wrong", WRONGS)
 @pytest.mark.parametrize("since", [0.3, 1.0])
@@ -116,6 +118,7 @@ def test_at_rest_nobody_can_tell() -> None:
         assert set(still.told(wrong)) == {""}
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("wrong", [as_it_is, noisy, exposed, clocked])
 def test_where_there_is_too_little_to_see_that_is_said(wrong: Wrong) -> None:
     """High above the ground in turbid water, and in the dark; where a clock is all there is to see, too."""

@@ -486,6 +486,7 @@ class Swim:
         return self.tank.T_world_base
 
 
+@pytest.mark.rare
 def test_in_the_tank_a_person_takes_the_vehicle_aside_and_the_mission_brings_it_back() -> None:
     swim = Swim()
     goal = SE2(0.0, -0.6, 0.5 * math.pi)

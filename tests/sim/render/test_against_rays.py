@@ -72,6 +72,7 @@ def test_a_wall_before_the_lens_agrees_with_the_rays() -> None:
     assert disagreeing(wall, camera(), poses) < 0.001
 
 
+@pytest.mark.rare
 @pytest.mark.parametrize(
     ("name", "count"),
     [

@@ -147,6 +147,7 @@ def test_an_impact_takes_energy_and_the_velocity_towards_the_wall(
     assert np.allclose(after.position[1:], moved.position[1:], atol=1e-6)
 
 
+@pytest.mark.rare
 def test_in_a_rough_world_the_body_is_never_inside_anything() -> None:
     rng = np.random.default_rng(31)
     world = soup(rng, 100)

@@ -348,6 +348,7 @@ def test_a_pose_becomes_a_state_and_back(vehicle: Vehicle) -> None:
         assert np.allclose(back.translation, pose.translation)
 
 
+@pytest.mark.rare
 @BOTH
 def test_a_simple_hold_keeps_both_level_and_in_place(vehicle: Vehicle) -> None:
     # The drawn vehicles of both sets, in a current: what a controller has to live with.

@@ -14,6 +14,7 @@ from dream.planning.vlm.asking.scrubbing import KEY
 from tests.model_server import SECRET
 
 
+@pytest.mark.rare
 @pytest.mark.parametrize(
     ("model", "variable"),
     [
@@ -72,6 +73,7 @@ def test_a_key_that_no_header_could_hold_is_refused(monkeypatch: pytest.MonkeyPa
         Asking(model="http://localhost:1/v1", model_name="x").line()
 
 
+@pytest.mark.rare
 def test_nothing_imports_the_stand_in_but_where_a_model_of_its_name_is_asked() -> None:
     root = Path(dream.__file__).parent
     importing = [

@@ -80,6 +80,7 @@ def words(trace: Trace, since: float) -> list[str]:
 
 
 # ---------------------------------------------------------------------------------------- heights
+@pytest.mark.few(4)
 @pytest.mark.parametrize("setup", BESIDE)
 @pytest.mark.parametrize(
     ("message", "field", "unit"),
@@ -124,6 +125,7 @@ def test_there_is_a_local_position_only_where_there_is_a_position() -> None:
 
 
 # ---------------------------------------------------------------------------------------- depth
+@pytest.mark.few(3)
 @pytest.mark.parametrize(
     ("name", "most"),
     [("stock-depths", 0.035), ("stock-launch", 0.02), ("stock-rest", 0.015), ("stock-moves", 0.03)],
@@ -153,6 +155,7 @@ def test_little_throttle_does_little() -> None:
     assert climbed[1] == pytest.approx(climbed[0], abs=0.04)
 
 
+@pytest.mark.rare
 def test_a_depth_target_is_cut_to_what_it_could_stop_for() -> None:
     """From 0.08 m to 1 m: it goes 0.55 m, and stays there."""
     for trace in both("stock-surfacing"):
@@ -185,6 +188,7 @@ def test_surface_is_left_in_the_same_time_and_at_once_where_it_is_up() -> None:
 
 
 # ---------------------------------------------------------------------------------------- yaw
+@pytest.mark.rare
 def test_it_turns_as_far_and_as_late_as_the_real_one() -> None:
     """Degrees that sticks of several sizes and lengths turn it by, at most, and when half of that is done."""
     turned: list[list[float]] = []
@@ -220,6 +224,7 @@ def test_at_rest_it_stays_within_a_degree() -> None:
         assert np.degrees(np.ptp(trace.during(30.0, 85.0)["yaw"])) < 1.0
 
 
+@pytest.mark.rare
 def test_a_guided_turn_is_integrated_into_a_heading() -> None:
     for trace in both("gps-guided"):
         start = trace.at("velocity 0 0 0 0.4")
@@ -239,6 +244,7 @@ def error(trace: Trace) -> Float64Array:
     return np.stack([rows[:, 0], np.degrees(off)], axis=1)
 
 
+@pytest.mark.rare
 @pytest.mark.parametrize("name", ["far-origin-altitudes", "far-stock-origins", "origin-altitudes"])
 def test_its_heading_goes_from_magnetic_to_true_as_the_real_ones_does(name: str) -> None:
     a, b = map(error, both(name))
