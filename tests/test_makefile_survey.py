@@ -30,6 +30,8 @@ for needed in ("rasterio", "pyogrio", "pyproj"):
 if shutil.which("make") is None:
     pytest.skip("needs make", allow_module_level=True)
 
+pytestmark = pytest.mark.rare
+
 REPOSITORY = Path(__file__).parents[1]
 STEPS = 14
 """Decisions of each mission: both see a part of the same reef."""
@@ -192,7 +194,6 @@ OPENED: dict[str, Callable[[Path], object]] = {
 """How a file is opened, by its kind."""
 
 
-@pytest.mark.rare
 def test_every_file_that_it_leaves_opens(made: Path) -> None:
     kinds: Counter[str] = Counter()
     for path in sorted(made.rglob("*")):

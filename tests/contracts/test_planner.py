@@ -19,9 +19,9 @@ from dream.sim.world import World
 from dream.types import LOOK_AROUND, Mission, Observation, Step
 from tests.model_server import Server, serving
 
-STEPS = 14
-AGAIN = LOOK_AROUND + 6
-"""Steps that are flown twice: five decisions, and what leads to each of them."""
+STEPS = 10
+AGAIN = LOOK_AROUND + 3
+"""Steps that are flown twice: two decisions, and what leads to each of them."""
 
 
 @pytest.fixture(scope="module")

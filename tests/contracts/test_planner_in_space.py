@@ -20,9 +20,9 @@ from dream.sim.world import World
 from dream.sim.worlds import make_world
 from dream.types import LOOK_AROUND, Step
 
-STEPS = 12
-AGAIN = LOOK_AROUND + 5
-"""Steps that are flown twice: four decisions, and what leads to each of them."""
+STEPS = 9
+AGAIN = LOOK_AROUND + 3
+"""Steps that are flown twice: two decisions, and what leads to each of them."""
 
 
 @pytest.fixture(scope="module", params=IN_SPACE)

@@ -113,7 +113,7 @@ def reader(
     return Reader(tmp_path, monkeypatch)
 
 
-@pytest.mark.few(1)
+@pytest.mark.rare
 @pytest.mark.parametrize("name", ["first-mission", "model"])
 def test_a_tutorial_can_be_followed(name: str, reader: Reader) -> None:
     for needed in NEEDS.get(name, ()):

@@ -127,6 +127,7 @@ def test_the_page_loads_and_runs_nothing(paper: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.rare
 def test_the_page_says_all_that_there_is_to_say(paper: Path) -> None:
     page = Page(paper / "report.html")
     parts = [
@@ -164,6 +165,7 @@ def test_the_page_says_all_that_there_is_to_say(paper: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.rare
 def test_markdown_has_the_same_tables(paper: Path) -> None:
     text = (paper / "tables.md").read_text()
     page = Page(paper / "report.html")

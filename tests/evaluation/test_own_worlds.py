@@ -109,6 +109,7 @@ def scene(results: Results) -> figures.Scene:
     return figures.scene(results, comparison, comparison.cases[0])
 
 
+@pytest.mark.rare
 def test_its_chart_is_drawn_where_it_is_still_what_it_was(
     changed: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:

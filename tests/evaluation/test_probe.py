@@ -79,6 +79,7 @@ def test_there_are_200_questions_25_of_each_kind(questions: list[MapQuestion]) -
     assert len({(question.text, question.picture) for question in questions}) == QUESTIONS
 
 
+@pytest.mark.rare
 def test_the_questions_are_the_same_each_time_and_the_first_few_the_same_few(
     questions: list[MapQuestion],
 ) -> None:
@@ -94,6 +95,7 @@ def test_the_questions_are_the_same_each_time_and_the_first_few_the_same_few(
         next(make_questions(201))
 
 
+@pytest.mark.rare
 def test_no_answer_is_right_more_often_than_another(questions: list[MapQuestion]) -> None:
     chance = sum(question.chance for question in questions)
     for place in range(5):
@@ -111,6 +113,7 @@ def test_no_answer_is_right_more_often_than_another(questions: list[MapQuestion]
     assert marks == dict.fromkeys(range(5, 10), QUESTIONS // 5)
 
 
+@pytest.mark.rare
 def test_every_kind_is_asked_about_many_maps(questions: list[MapQuestion]) -> None:
     assert not set(WORLDS) & {(case.world, case.seed) for suite in SUITES.values() for case in suite}
     for kind in KINDS:
@@ -119,6 +122,7 @@ def test_every_kind_is_asked_about_many_maps(questions: list[MapQuestion]) -> No
         assert max(maps.values()) <= 5, kind
 
 
+@pytest.mark.rare
 def test_what_is_offered_is_in_the_text_in_the_schema_and_on_the_map(questions: list[MapQuestion]) -> None:
     for question in questions:
         asked = question.asked
@@ -132,6 +136,7 @@ def test_what_is_offered_is_in_the_text_in_the_schema_and_on_the_map(questions: 
         assert "$" not in asked.instructions
 
 
+@pytest.mark.rare
 def test_the_sentences_are_regular(questions: list[MapQuestion]) -> None:
     number = r"(-?\d+(?:\.5)?)"
     patterns = {
@@ -149,6 +154,7 @@ def test_the_sentences_are_regular(questions: list[MapQuestion]) -> None:
         assert re.fullmatch(patterns[question.kind], question.text)
 
 
+@pytest.mark.rare
 def test_marks_lie_apart_on_ground_that_is_known(questions: list[MapQuestion]) -> None:
     for question in questions:
         places = [*question.marks.values(), (question.pose.x, question.pose.y)]
@@ -159,6 +165,7 @@ def test_marks_lie_apart_on_ground_that_is_known(questions: list[MapQuestion]) -
             assert ground.cells[ground.index(place)][0] not in (BLACK, DARK_GREEN)
 
 
+@pytest.mark.rare
 def test_the_cells_are_those_of_the_picture(questions: list[MapQuestion]) -> None:
     for question in questions[::20]:
         picture = np.asarray(Image.open(io.BytesIO(question.picture)))
@@ -207,6 +214,7 @@ def _touching(ground: Ground, codes: tuple[int, ...]) -> npt.NDArray[np.float64]
     return some[cKDTree(_cells_of(ground, (WHITE,))).query(some)[0] < 1.2 * ground.cell]
 
 
+@pytest.mark.rare
 def test_the_nearest_mark_is_nearer_by_a_margin(questions: list[MapQuestion]) -> None:
     for question in of_kind(questions, "nearest"):
         ways = sorted(
@@ -217,6 +225,7 @@ def test_the_nearest_mark_is_nearer_by_a_margin(questions: list[MapQuestion]) ->
         assert ways[1][0] - ways[0][0] >= 1.5
 
 
+@pytest.mark.rare
 def test_most_white_ground_lies_around_the_mark(questions: list[MapQuestion]) -> None:
     for question in of_kind(questions, "unexplored"):
         white = cells_of(question, WHITE)
@@ -228,6 +237,7 @@ def test_most_white_ground_lies_around_the_mark(questions: list[MapQuestion]) ->
         assert areas[-1][0] - areas[-2][0] >= 4.0
 
 
+@pytest.mark.rare
 def test_one_mark_alone_has_green_that_touches_white_beside_it(questions: list[MapQuestion]) -> None:
     for question in of_kind(questions, "boundary"):
         green, edge = touching(question, GREEN), touching(question, GREEN, DARK_GREEN)
@@ -253,6 +263,7 @@ def test_one_way_alone_leads_through_something_solid(questions: list[MapQuestion
                 assert off.min() > 0.2
 
 
+@pytest.mark.rare
 def test_the_robot_heads_where_it_is_said(questions: list[MapQuestion]) -> None:
     for question in of_kind(questions, "heading"):
         east, north = math.cos(question.pose.yaw), math.sin(question.pose.yaw)
@@ -263,6 +274,7 @@ def test_the_robot_heads_where_it_is_said(questions: list[MapQuestion]) -> None:
         assert along >= math.cos(math.radians(10.1))
 
 
+@pytest.mark.rare
 def test_regions_that_are_called_enclosed_are(questions: list[MapQuestion]) -> None:
     for question in of_kind(questions, "enclosed"):
         found = re.search(r"mark (\d)", question.text)
@@ -285,6 +297,7 @@ def test_regions_that_are_called_enclosed_are(questions: list[MapQuestion]) -> N
             assert min(away(white, cell).min() for cell in mine) > 0.75
 
 
+@pytest.mark.rare
 def test_all_around_a_point_is_what_it_is(questions: list[MapQuestion]) -> None:
     codes = {"target": GREEN, "explored": GRAY, "unexplored": WHITE, "solid": BLACK}
     for question in of_kind(questions, "point"):
@@ -294,6 +307,7 @@ def test_all_around_a_point_is_what_it_is(questions: list[MapQuestion]) -> None:
         assert min(math.dist(place, (x, y)) for place in question.marks.values()) >= 1.2
 
 
+@pytest.mark.rare
 def test_the_share_explored_lies_well_inside_its_band(questions: list[MapQuestion]) -> None:
     ends = {"less than 20 %": (-1.0, 0.2), "20 to 40 %": (0.2, 0.4), "40 to 60 %": (0.4, 0.6)}
     for question in of_kind(questions, "explored"):
@@ -306,6 +320,7 @@ def test_the_share_explored_lies_well_inside_its_band(questions: list[MapQuestio
 # ------------------------------------------------------------------------------------- the mirror's law
 
 
+@pytest.mark.rare
 def test_in_the_mirror_only_east_and_west_change_places(questions: list[MapQuestion]) -> None:
     for question in questions[:80]:
         ground, pose = question.ground, question.pose
@@ -361,6 +376,7 @@ def replied(questions: list[MapQuestion], given: Sequence[str | None]) -> Score:
     )
 
 
+@pytest.mark.rare
 def test_all_right_reads_the_map(questions: list[MapQuestion]) -> None:
     score = replied(questions, [question.answer for question in questions])
     assert (score.whole.right, score.whole.asked, score.complete, score.reads) == (200, 200, True, "yes")
@@ -369,6 +385,7 @@ def test_all_right_reads_the_map(questions: list[MapQuestion]) -> None:
     assert score.as_dict()["cost_usd"] == pytest.approx(2.0)
 
 
+@pytest.mark.rare
 def test_who_always_gives_the_first_answer_is_not_trusted(questions: list[MapQuestion]) -> None:
     score = replied(questions, [question.choices[0] for question in questions])
     low, high = score.whole.interval.low, score.whole.interval.high
@@ -378,6 +395,7 @@ def test_who_always_gives_the_first_answer_is_not_trusted(questions: list[MapQue
     assert score.verdict.startswith("do not trust it")
 
 
+@pytest.mark.rare
 def test_no_answer_is_wrong_and_told_apart(questions: list[MapQuestion]) -> None:
     given = [None if question.number % 4 == 0 else question.answer for question in questions]
     score = replied(questions, given)
@@ -387,6 +405,7 @@ def test_no_answer_is_wrong_and_told_apart(questions: list[MapQuestion]) -> None
     assert score.verdict.endswith("no better than chance at blocked way and share explored")
 
 
+@pytest.mark.rare
 def test_a_weak_kind_is_named_and_few_questions_tell_nothing(questions: list[MapQuestion]) -> None:
     blind = [q.choices[0] if q.kind == "point" else q.answer for q in questions]
     assert replied(questions, blind).verdict.endswith("no better than chance at what is at a point")
@@ -441,6 +460,7 @@ def test_a_server_that_knows_all_has_200_of_200(
     assert json.loads(capsys.readouterr().out)["right"] == 16
 
 
+@pytest.mark.rare
 def test_garbage_is_no_answer_and_is_told(
     questions: list[MapQuestion],
     tmp_path: Path,
@@ -466,6 +486,7 @@ def test_garbage_is_no_answer_and_is_told(
     assert "://" not in page.replace("http://127.0.0.1", "")
 
 
+@pytest.mark.rare
 def test_the_first_answer_is_seen_through_and_the_table_says_so(
     questions: list[MapQuestion], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -478,6 +499,7 @@ def test_the_first_answer_is_seen_through_and_the_table_says_so(
     assert all(kind.title in printed for kind in KINDS.values())
 
 
+@pytest.mark.rare
 def test_a_server_that_refuses_ends_the_probe_with_one_line_before_the_last_map_is_drawn(
     questions: list[MapQuestion], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -497,6 +519,7 @@ def test_a_server_that_refuses_ends_the_probe_with_one_line_before_the_last_map_
     assert len(drawn) <= 2
 
 
+@pytest.mark.rare
 def test_nobody_at_the_address_ends_the_probe_with_one_line(
     questions: list[MapQuestion], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -509,6 +532,7 @@ def test_nobody_at_the_address_ends_the_probe_with_one_line(
     assert "connection: nothing answers at 127.0.0.1:" in printed.err
 
 
+@pytest.mark.rare
 def test_questions_that_the_budget_does_not_pay_for_are_not_asked(
     questions: list[MapQuestion], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

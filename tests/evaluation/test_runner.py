@@ -393,6 +393,7 @@ def test_a_mission_whose_vehicle_is_lost_is_scored_by_what_it_had_seen(
         assert (run / "report.html").exists()
 
 
+@pytest.mark.rare
 def test_a_folder_is_finished_when_nothing_of_it_is_missing(
     failing: tuple[Path, list[Ended]], tmp_path: Path
 ) -> None:

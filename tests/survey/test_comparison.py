@@ -579,6 +579,7 @@ CHANGES = {
 }
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("site", [None, replace(SITE, heading_deg=33.0)])
 def test_gdal_opens_the_ground_as_one_valid_area_of_each_kind(
     site: Site | None, less: list[Comparison], tmp_path: Path
@@ -708,6 +709,7 @@ def test_on_a_full_disk_no_part_of_the_change_is_written_and_what_was_there_stay
         assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
 
 
+@pytest.mark.rare
 def test_a_comparison_that_fails_leaves_no_folder(
     same: list[Comparison], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

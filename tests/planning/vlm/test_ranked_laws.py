@@ -221,6 +221,7 @@ def _reached(pose: SE2, occupancy: OccupancyMap) -> dict[tuple[int, int, int], i
     return steps
 
 
+@pytest.mark.rare
 def test_votes_have_the_same_places_under_other_numbers(questions: list[list[Sent]]) -> None:
     several = [votes for votes in questions if len(votes) > 1]
     assert several

@@ -327,6 +327,7 @@ def test_a_dive_with_a_site_is_measured_and_written_for_others_at_its_place(
     assert "Simulated: world pool/arc, seed 1" in (tmp_path / "to/report.html").read_text(encoding="utf-8")
 
 
+@pytest.mark.rare
 @pytest.mark.slow
 def test_a_dive_plans_with_an_earlier_survey_and_keeps_what_it_was_told(
     dive: Path, second: Path, capsys: pytest.CaptureFixture[str]
