@@ -127,6 +127,17 @@ def test_missions_that_were_cut_short_count_as_their_own_cap() -> None:
     )
     assert cut.horizon == 100
     assert row(tables.times(cut, "All", cut.cases), "random")["to 98.26 %"] == "100.0 · 0/2"
+    assert cut.unreached == "100 steps"
+
+
+def test_where_each_world_has_its_own_cap_what_was_never_reached_counts_as_that() -> None:
+    mixed = comparison(
+        flown(L1, "random", Made(400), cap=80), flown(L2, "random", Made(400), cap=120), planners=["random"]
+    )
+    assert row(tables.times(mixed, "All", mixed.cases), "random")["to 98.26 %"] == "100.0 · 0/2"
+    assert mixed.unreached == "the cap of its world, 80 to 120 steps"
+    (note,) = [note for note in tables.headline(mixed, mixed.cases).notes if "never reached" in note]
+    assert note.endswith("counts as the cap of its world, 80 to 120 steps.")
 
 
 def test_the_fastest_planner_stands_first() -> None:

@@ -166,7 +166,7 @@ def ratio_note(comparison: Comparison) -> str:
     return (
         "Ratios are means over the missions without a contact in worlds whose bound and tour are both "
         "known; after the dot, how many of these reached the mark. ≥ stands where some did not: they count "
-        f"as {comparison.horizon} steps, so that the mean and its interval are too low. A mission that was "
+        f"as {comparison.unreached}, so that the mean and its interval are too low. A mission that was "
         "cut before even the tour ends, and did not reach the mark, is left out."
     )
 

@@ -103,6 +103,13 @@ class Comparison:
     """A sealed test's: more worlds may follow, so that intervals hold at every number of them at once."""
 
     @property
+    def unreached(self) -> str:
+        """What a mark counts as that was not reached, in words: one number, or that of each world."""
+        each = {row.horizon(self.horizon) for row in self.rows.values()} or {self.horizon}
+        least = min(each)
+        return f"{least} steps" if len(each) == 1 else f"the cap of its world, {least} to {max(each)} steps"
+
+    @property
     def missing(self) -> int:
         """Missions that have no result: those that failed, and those not yet flown."""
         return len(self.cases) * len(self.planners) - len(self.rows)

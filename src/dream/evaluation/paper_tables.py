@@ -56,7 +56,7 @@ def paper_tables(comparison: Comparison) -> list[Table]:
                 ("method", "worlds", "steps", "coverage, %", *(ASKING if asked else ())),
                 tuple(rows),
                 (
-                    f"Steps: mean of the step at which the planner itself stopped; {comparison.horizon} "
+                    f"Steps: mean of the step at which the planner itself stopped; {comparison.unreached} "
                     f"where it did not. Coverage: mean share of the {meaning} seen at the end. Protocol "
                     f"{comparison.protocol}.",
                     *([asking_note(comparison)] if asked else []),

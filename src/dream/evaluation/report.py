@@ -406,13 +406,13 @@ def _verdict(comparison: Comparison) -> str:
         what = f"{best} is the fastest here: it" if len(standing) > 1 else f"{best}, the only planner here,"
         text = (
             f"{what} reached 98.26 % of the individuals in {reached} of {count} missions, after "
-            f"{_time(comparison, best)} steps on average where never counts as {comparison.horizon}, and "
+            f"{_time(comparison, best)} steps on average where never counts as {comparison.unreached}, and "
             f"succeeded in {sum(row.success for _, row in flown)}."
         )
     else:
         text = (
             f"{_listed(equal)} are equally fast here: {number(time)} steps to 98.26 % of the individuals on "
-            f"average where never counts as {comparison.horizon}. {_tie(standing, equal, unseen)}"
+            f"average where never counts as {comparison.unreached}. {_tie(standing, equal, unseen)}"
         )
     reference = best_baseline(comparison, comparison.cases)
     if reference is not None and reference not in equal:

@@ -31,7 +31,7 @@ def print_summary(results: Results, console: Console) -> None:
 
     comparison = compare(results)
     table = RichTable(
-        title=f"mean over worlds; what was never reached counts as {comparison.horizon}",
+        title=f"mean over worlds; what was never reached counts as {comparison.unreached}",
         title_justify="left",
     )
     headings = (

@@ -109,7 +109,7 @@ def headline(comparison: Comparison, cases: Sequence[Case], title: str = "At a g
             "and no contact. Stopped too early: by itself with less.",
             "t98: steps until 98.26 % were seen, the paper's own coverage. Middle half: the mean over the "
             "worlds without the quarter that took least and the one that took most (IQM). Own stop: steps "
-            f"until it stopped by itself. What was never reached counts as {comparison.horizon} steps.",
+            f"until it stopped by itself. What was never reached counts as {comparison.unreached}.",
             "Certified bound: no mission can do with fewer steps. Best known tour: steps of the shortest way "
             "found by a program that knows the world. A ratio of 1 is the best there is.",
             "P: share of the worlds on which a planner reached 98.26 % sooner than the other; equal ones "
@@ -437,7 +437,7 @@ def by_family(comparison: Comparison) -> list[Table]:
             "t98-by-family",
             "Steps to 98.26 %, by family",
             "Restricted mean (95 % interval) · missions that reached it; never counts as "
-            f"{comparison.horizon}.",
+            f"{comparison.unreached}.",
             time,
         ),
         table(
