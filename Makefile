@@ -91,7 +91,7 @@ check: setup-dev ## Lint, types and format
 	@$(BIN)/mypy
 
 results: setup ## Write docs/results/README.md from the released results
-	@$(BIN)/dream results results/wide results/test results/paper results/sweep --out docs/results/README.md --figures docs/results
+	@$(BIN)/dream results results/test-v2 results/test results/paper results/sweep --out docs/results/README.md --figures docs/results
 
 perf: setup-perf ## Measure speed and accuracy beside named peers; some forty minutes
 	@$(BIN)/python perf/render.py

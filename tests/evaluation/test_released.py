@@ -43,7 +43,7 @@ def test_the_page_of_results_is_made_from_the_files_that_are_tracked(
     for name in tracked:
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(ROOT / name, tmp_path / name)
-    folders = [str(tmp_path / "results" / name) for name in ("wide", "test", "paper", "sweep")]
+    folders = [str(tmp_path / "results" / name) for name in ("test-v2", "test", "paper", "sweep")]
     page = tmp_path / "docs/results/README.md"
     monkeypatch.setattr("dream.evaluation.suites.Case.open", unopened)
     assert run_command(["results", *folders, "--out", str(page), "--figures", str(page.parent)]) == 0

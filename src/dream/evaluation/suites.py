@@ -132,8 +132,8 @@ SUITES: dict[str, tuple[Case, ...]] = {
 """`paper`: ten reefs and five wrecks, as many as the paper has. `dev`: 60 worlds to develop and tune on.
 `test`: 200 worlds to report; no parameter was chosen by them, and whoever tunes on them has no result. Of
 its wrecks, seeds 1001 to 1003 of `wreck/1` to `wreck/4` were looked at while the belief about hulls was made
-finer. `dev-v2` and `test-v2` are the same for protocols that move in space: 605 and 350 worlds. `test-v2` was
-not flown yet."""
+finer. `dev-v2` and `test-v2` are the same for protocols that move in space: 605 and 350 worlds. Of `test-v2`
+the first two reefs of each wide family and the first of each wreck were flown once."""
 
 
 def suite_named(name: str) -> tuple[Case, ...]:
