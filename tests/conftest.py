@@ -38,10 +38,10 @@ settings.load_profile("dream")
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Of a test that is marked `few`, make all cases rare but so many: the first, the last, some between."""
-    cases: dict[tuple[str, str], list[pytest.Item]] = {}
+    cases: dict[str, list[pytest.Item]] = {}
     for item in items:
-        if item.get_closest_marker("few"):
-            cases.setdefault((item.path.as_posix(), item.name.partition("[")[0]), []).append(item)
+        if item.get_closest_marker("few") and not item.get_closest_marker("rare"):
+            cases.setdefault(item.nodeid.partition("[")[0], []).append(item)
     for alike in cases.values():
         mark = alike[0].get_closest_marker("few")
         assert mark is not None
