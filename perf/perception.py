@@ -25,7 +25,7 @@ from scipy import ndimage
 
 from dream.geometry import SE2, SE3, Bounds
 from dream.mapping import OccupancyMap
-from dream.perception import FlatFloor, Perception, Shells
+from dream.perception import FlatFloor, Perception, Shells, View
 from dream.protocol import SurveyProtocol, protocol_named
 from dream.sim.render import Frame, Renderer
 from dream.sim.solids import Solids
@@ -179,7 +179,7 @@ def judge(
         views(world, protocol, count, conditions, rng), 1
     ):
         start = time.process_time()
-        shows = perception.perceive(rgb, camera, told, mount, altitude)
+        shows = perception.perceive(rgb, View(camera, told, mount, altitude))
         depth, labels, confidence = shows.depth, shows.labels, shows.confidence
         tally.seconds.append(time.process_time() - start)
         _, sure = perception.segmenter.segment(rgb)

@@ -135,7 +135,7 @@ def test_orders_in_words_without_a_terminal_are_told_to_need_yes_at_once(
         ("pyproj", ["survey", "export", "run", "--to", "x", "--only", "mosaic"], "survey"),
         ("ray", ["bench", "--engine", "ray"], "ray"),
         ("rerun", ["replay", "run", "--rerun"], "rerun"),
-        ("pyarrow", ["train", "--lerobot", "x"], "train"),
+        ("pyarrow", ["train", "uivnav", "--lerobot", "x"], "train"),
         ("fastapi", ["run", "--live"], "live"),
         ("ruamel.yaml", ["dive", "--stand-in", "--unattended"], "rov"),
     ],

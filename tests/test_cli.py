@@ -72,10 +72,12 @@ def test_help_names_every_command(capsys: pytest.CaptureFixture[str]) -> None:
 
 SUBCOMMANDS = ("add", "list", "show", "remove", "compare", "export")
 SEALING = ("new", "show", "open", "check")
+NETWORKS = ("sight", "uivnav")
 PAGES = [
     *([command] for command in COMMANDS),
     *(["survey", subcommand] for subcommand in SUBCOMMANDS),
     *(["seal", subcommand] for subcommand in SEALING),
+    *(["train", network] for network in NETWORKS),
     *(["run", planner] for planner in PLANNERS),
     ["dive", "belief"],
 ]
@@ -126,7 +128,7 @@ def test_every_option_is_explained_in_sentences(
 
 
 @pytest.mark.parametrize(
-    "words", [words for words in PAGES if words not in (["survey"], ["seal"])], ids=" ".join
+    "words", [words for words in PAGES if words not in (["survey"], ["seal"], ["train"])], ids=" ".join
 )
 def test_help_all_shows_what_the_command_takes(
     words: list[str], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch

@@ -93,6 +93,17 @@ def test_every_extra_that_is_asked_for_exists_and_no_index_is_asked_for_this_pac
     stated = set(importlib.metadata.metadata(extras.NAME).get_all("Provides-Extra") or ())
     said = "".join(path.read_text("utf-8") for path in Path(extras.__file__).parent.rglob("*.py"))
     asked_for = set(re.findall(r'extras\.(?:missing|check_installed)\(\s*"(\w+)"', said))
-    assert {"learned", "live", "postgis", "ray", "rerun", "rov", "survey", "train", "vlm"} == asked_for
+    assert {
+        "learned",
+        "live",
+        "postgis",
+        "ray",
+        "rerun",
+        "rov",
+        "survey",
+        "teach",
+        "train",
+        "vlm",
+    } == asked_for
     assert asked_for <= stated
     assert f"{extras.NAME}[" not in said

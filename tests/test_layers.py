@@ -32,7 +32,7 @@ LAYERS = [
     {"approach", "course"},
     {"mission"},
     {"recording", "evaluation", "report", "live", "survey"},
-    {"learning"},
+    {"learning", "teaching"},
     {"commands"},
     {"cli"},
     {"__main__"},

@@ -16,6 +16,7 @@ from dream.protocol import (
     DREAM_V2,
     POOL_V1,
     PROTOCOLS,
+    Grain,
     LastingErrors,
     SensorNoise,
     SurveyProtocol,
@@ -81,7 +82,7 @@ def test_dream_v1_noisy_is_dream_v1_with_the_noise_of_the_design() -> None:
 
 
 def test_only_noisy_protocols_declare_noise() -> None:
-    noisy = ["dream-v1-noisy", "dream-v1-nav", "dream-v2", "dream-v2-nav"]
+    noisy = ["dream-v1-noisy", "dream-v1-nav", "dream-v2", "dream-v2-nav", "dream-v2-seen"]
     assert [p.name for p in PROTOCOLS.values() if p.noise is not None] == noisy
     assert [p.name for p in PROTOCOLS.values() if p.lasting is not None] == noisy[2:]
     assert [p.name for p in PROTOCOLS.values() if p.swims] == ["dream-v1-nav", "dream-v2-nav"]
@@ -97,6 +98,7 @@ def test_a_planar_protocol_has_one_tilt_and_no_climb() -> None:
         "dream-v2",
         "dream-v2-true",
         "dream-v2-nav",
+        "dream-v2-seen",
     }
     for protocol in planar:
         assert (protocol.tilts, protocol.climbs) == ((protocol.camera_pitch,), (0.0,))
@@ -109,6 +111,29 @@ def test_dream_v2_is_the_noisy_one_in_space_with_errors_that_last() -> None:
     assert replace(DREAM_V2, name="dream-v2-true", noise=None, lasting=None) == protocol_named(
         "dream-v2-true"
     )
+
+
+def test_by_sight_is_dream_v2_whose_maps_reckon_with_worse_depths() -> None:
+    seen, lasting = protocol_named("dream-v2-seen"), DREAM_V2.lasting
+    assert lasting is not None
+    worse = replace(lasting, depth=0.1)
+    assert replace(seen, name="dream-v2", seen=None, lasting=lasting) == DREAM_V2
+    assert seen.lasting == worse
+    assert [p.name for p in PROTOCOLS.values() if p.seen is not None] == ["dream-v2-seen"]
+
+
+@pytest.mark.parametrize(
+    "change, message",
+    [
+        ({"photons": 0.5}, "grain.photons"),
+        ({"photons": math.inf}, "grain.photons"),
+        ({"reading": -0.1}, "grain.reading"),
+        ({"quality": 0}, "grain.quality"),
+    ],
+)
+def test_no_grain_is_taken_that_no_camera_has(change: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        Grain(**{"photons": 4000.0, "reading": 0.003, "quality": 90, **change})
 
 
 @pytest.mark.parametrize(

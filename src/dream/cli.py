@@ -49,7 +49,8 @@ compare planners
   results  write the page of results from folders of benchmarks
 models
   probe    ask a vision-language model what it reads in a map
-  train    teach a network to steer by sight
+  teach    teach a new target with a few strokes on pictures of your own
+  train    make the networks that see, and that steer by sight
 
 dream COMMAND --help      the options that people use first
 dream COMMAND --help-all  all options
@@ -59,7 +60,8 @@ Every command takes --json, for programs. To begin with: dream run
 """
 COMMANDS = (
     *("run", "fly", "worlds", "draw", "mission", "dive", "survey", "watch", "report"),
-    *("replay", "export", "bench", "sweep", "seal", "oracle", "results", "probe", "train"),
+    *("replay", "export", "bench", "sweep", "seal", "oracle", "results", "probe", "teach"),
+    "train",
 )
 
 FAILED, BAD_INPUT = 1, 2

@@ -93,6 +93,26 @@ class LastingErrors:
 
 
 @dataclass(frozen=True, slots=True)
+class Grain:
+    """What the sensor of a camera adds to a picture: noise of photons and of reading. Colours in [0, 1]."""
+
+    photons: float
+    """Of white: σ of light L is sqrt(L / `photons`)."""
+    reading: float
+    """σ of linear light whatever there is."""
+    quality: int
+    """Of the JPEG that the picture comes as."""
+
+    def __post_init__(self) -> None:
+        if not 1.0 <= self.photons < math.inf:
+            raise ValueError(f"grain.photons: expected 1 or more, got {self.photons}")
+        if not 0.0 <= self.reading <= 1.0:
+            raise ValueError(f"grain.reading: expected 0 to 1, got {self.reading}")
+        if not 1 <= self.quality <= 100:
+            raise ValueError(f"grain.quality: expected 1 to 100, got {self.quality}")
+
+
+@dataclass(frozen=True, slots=True)
 class Space:
     """How a vehicle moves and looks in three dimensions. Metres and radians.
 
@@ -186,6 +206,9 @@ class SurveyProtocol:
     of its camera: a planar protocol."""
     lasting: LastingErrors | None = None
     """What the sensor gets wrong all mission long, beside `noise`."""
+    seen: Grain | None = None
+    """Where set, labels and depth are what a network makes of the picture, which has this grain. Errors of
+    labels and depth are then its own; those that are declared are what planners and maps reckon with."""
 
     def __post_init__(self) -> None:
         for name in ("altitude", "body_radius", "body_height", "max_depth", "reach", "cell", "lattice"):
@@ -407,6 +430,14 @@ DREAM_V2_TRUE = replace(DREAM_V2, name="dream-v2-true", noise=None, lasting=None
 DREAM_V2_NAV = replace(DREAM_V2, name="dream-v2-nav", swims=True)
 """`dream-v2` with a vehicle that has to swim, and knows where it is only by its sensors."""
 
+DREAM_V2_SEEN = replace(
+    DREAM_V2,
+    name="dream-v2-seen",
+    lasting=replace(DREAM_V2.lasting, depth=0.1) if DREAM_V2.lasting is not None else None,
+    seen=Grain(photons=4000.0, reading=0.003, quality=90),
+)
+"""`dream-v2` from colours alone: a network tells labels and depth."""
+
 REACHES = (4.0, 6.0, 8.0, 10.0)
 """Metres: the reaches that `dream-v1` is swept over; 8 is its own."""
 
@@ -427,6 +458,7 @@ _ALL = (
     DREAM_V2,
     DREAM_V2_TRUE,
     DREAM_V2_NAV,
+    DREAM_V2_SEEN,
     *_OTHER_REACHES,
 )
 PROTOCOLS = {protocol.name: protocol for protocol in _ALL}

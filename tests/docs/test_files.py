@@ -402,9 +402,9 @@ def test_every_column_of_a_data_set_is_told() -> None:
 
 
 def test_every_key_of_a_network_s_card_is_told() -> None:
-    card = read(ROOT / "src" / "dream" / "planning" / "weights" / "uivnav.json")
-    assert list(card) == described("A network's folder", table=0)
-    assert list(FEATURES) == described("A network's folder", table=1)
+    for table, name in enumerate(("perception/weights/sight.json", "planning/weights/uivnav.json")):
+        assert list(read(ROOT / "src" / "dream" / name)) == described("A network's folder", table=table)
+    assert list(FEATURES) == described("A network's folder", table=2)
 
 
 # --- That these tests can fail

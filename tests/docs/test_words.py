@@ -50,8 +50,14 @@ ADVICE = r"pip install [\"']?dream-auv"
 """The name is on no index."""
 
 HISTORIES = {"CHANGELOG.md"}
-SCRIPTS = ("report_page/*.js", "live/page/*.js")
-TEMPLATES = ("report_page/*.html", "live/page/*.html", "survey/products/*.html", "evaluation/*_page/*.html")
+SCRIPTS = ("report_page/*.js", "live/page/*.js", "teaching/page/*.js")
+TEMPLATES = (
+    "report_page/*.html",
+    "live/page/*.html",
+    "teaching/page/*.html",
+    "survey/products/*.html",
+    "evaluation/*_page/*.html",
+)
 SPEAKING = ("commands/**/*.py", "evaluation/**/*.py", "survey/**/*.py", "planning/sentences.py")
 """Modules whose strings people read in the terminal, in tables and in reports."""
 OTHERS_WORDS = {"darwin_core.py"}

@@ -330,7 +330,7 @@ def test_what_is_wrong_in_such_a_file_is_told_by_line(text: str | bytes, complai
         (["nowhere.txt"], "nowhere.txt: expected a file that lists worlds"),
         (
             ["mein"],
-            'no suite "mein". There are: paper, dev, test, dev-v2, test-v2; a list of your own is a file',
+            'no suite "mein". There are: paper, dev, test, dev-v2, test-v2, test-seen; a list of your own is',
         ),
         (["mine"], "mine: expected --world before a world, got none. Say: dream bench --world mine"),
         (

@@ -24,6 +24,11 @@ EXPECTED = {
         "several": 10,
     },
     "test-v2": {**dict.fromkeys(WIDE, 25), "wreck": 50, "several": 25},
+    "test-seen": {
+        **dict.fromkeys(WIDE, 5),
+        **{name.removeprefix("reef/"): 6 for name in (*WEAK, "reef/two")},
+        "wreck": 10,
+    },
 }
 
 

@@ -54,7 +54,8 @@ def test_it_leaves_a_network_that_flies_and_its_card(folder: Path) -> None:
     model = (folder / MODEL).read_bytes()
     assert card["sha256"] == hashlib.sha256(model).hexdigest()
     assert card["bytes"] == len(model)
-    assert card["command"].startswith("dream train --missions 2 --more 1 --steps 8 --trials 1 --epochs 2")
+    told = "dream train uivnav --missions 2 --more 1 --steps 8 --trials 1 --epochs 2"
+    assert card["command"].startswith(told)
     assert card["turns_deg"] == [-90, -60, -30, 0, 30, 60, 90]
     assert [entry["frames"] for entry in card["rounds"]] == [10, 15]
     rows = card["trials"]["rows"]

@@ -9,6 +9,8 @@ import numpy as np
 import onnx
 from onnx import TensorProto, helper, numpy_helper
 
+from dream.perception.sight import GRID, HEIGHT, WIDTH
+
 OPSET = 17
 
 
@@ -130,3 +132,23 @@ def instances(
         {name: list(value.shape) for name, value in both.items()},
         metadata=metadata,
     )
+
+
+def frozen_network(path: Path) -> Path:
+    """A network of the right shape, whose answers have nothing to do with what goes in."""
+    rng = np.random.default_rng(1)
+    sizes = {"labels": (1, 4, HEIGHT, WIDTH), "depth": (1, 2, *GRID), "features": (1, 72, *GRID)}
+    float32 = onnx.TensorProto.FLOAT
+    graph = helper.make_graph(
+        [helper.make_node("Identity", [f"{name}_kept"], [name]) for name in sizes],
+        "frozen",
+        [helper.make_tensor_value_info(name, float32, [1, 3, HEIGHT, WIDTH]) for name in ("picture", "view")],
+        [helper.make_tensor_value_info(name, float32, list(size)) for name, size in sizes.items()],
+        [
+            numpy_helper.from_array((3.0 * rng.random(size) - 1.0).astype(np.float32), f"{name}_kept")
+            for name, size in sizes.items()
+        ],
+    )
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
+    path.write_bytes(model.SerializeToString())
+    return path

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from dream.geometry import SE3, Camera, camera_mount
-from dream.perception import FlatFloor
+from dream.perception import FlatFloor, View
 from dream.perception.flat_floor import floor_depth, rays
 from dream.types import BoolArray, Float32Array, Label, UInt8Array
 
@@ -45,7 +45,7 @@ def meets(T_world_base: SE3, T_base_camera: SE3, surface: np.ndarray, offset: fl
 
 
 def estimate(labels: UInt8Array, T_world_base: SE3, altitude: float) -> tuple[Float32Array, Float32Array]:
-    return FlatFloor().estimate(RGB, labels, CAMERA, altitude, T_world_base, MOUNT)
+    return FlatFloor().estimate(RGB, labels, View(CAMERA, T_world_base, MOUNT, altitude))
 
 
 @pytest.mark.parametrize(("roll", "pitch"), ATTITUDES)
@@ -54,7 +54,7 @@ def test_the_floor_is_where_each_ray_meets_the_plane(roll: float, pitch: float) 
     mount = SE3(MOUNT.rotation, np.array([0.2, -0.05, 0.1]))
     exact = meets(T_world_base, mount, np.array([0.0, 0.0, 1.0]), -5.0 - altitude)
     exact[exact > 20.0] = np.nan
-    found = floor_depth(rays(CAMERA, altitude, T_world_base, mount), 20.0)
+    found = floor_depth(rays(View(CAMERA, T_world_base, mount, altitude)), 20.0)
     near = exact < 15.0
     np.testing.assert_allclose(found[near], exact[near], rtol=2e-4)
     assert (np.isnan(found) == np.isnan(exact)).mean() > 0.995
@@ -63,7 +63,7 @@ def test_the_floor_is_where_each_ray_meets_the_plane(roll: float, pitch: float) 
 
 def test_the_optical_axis_meets_the_floor_at_the_altitude_over_the_sine_of_the_pitch() -> None:
     one = Camera(1, 1, 100.0, 100.0, 0.5, 0.5)
-    found = floor_depth(rays(one, 0.6, turned(0.0, 0.0), MOUNT), 20.0)
+    found = floor_depth(rays(View(one, turned(0.0, 0.0), MOUNT, 0.6)), 20.0)
     assert found[0, 0] == pytest.approx(0.6 / math.sin(math.radians(20.0)), rel=1e-6)
 
 
@@ -104,7 +104,7 @@ def test_a_pole_before_a_wall_has_a_foot_of_its_own_along_an_upright_line() -> N
     """The lines of upright things run together towards the nadir, and do not stay in a column."""
     T_world_base, altitude = turned(0.1, 0.05), 0.6
     behind, wall_depth, _ = wall(T_world_base, 1.4, altitude)
-    looks = rays(CAMERA, altitude, T_world_base, MOUNT)
+    looks = rays(View(CAMERA, T_world_base, MOUNT, altitude))
     bearing, away = 0.35, 0.8
     # All that is within 3° of one bearing, and not below its foot.
     pole = (np.abs(looks.azimuth - bearing) < math.radians(3.0)) & (
@@ -128,7 +128,7 @@ def test_floor_between_two_things_parts_their_feet() -> None:
     labels[95:105, 60:100] = Label.OBSTACLE
     depth, _ = estimate(labels, turned(0.0, 0.0), 0.6)
     np.testing.assert_allclose(depth[10:30, 60:100], exact[10:30, 60:100], rtol=0.04)
-    looks = rays(CAMERA, 0.6, turned(0.0, 0.0), MOUNT)
+    looks = rays(View(CAMERA, turned(0.0, 0.0), MOUNT, 0.6))
     foot = (floor_depth(looks, 20.0) * looks.ahead)[104, 80]
     assert depth[96, 80] * looks.ahead[96, 80] == pytest.approx(foot, rel=0.03)
 
@@ -136,7 +136,7 @@ def test_floor_between_two_things_parts_their_feet() -> None:
 def test_without_a_foot_in_view_a_thing_is_as_far_as_it_can_be_and_doubtful() -> None:
     labels = np.full((120, 160), Label.OBSTACLE, np.uint8)
     depth, confidence = estimate(labels, turned(0.0, 0.0), 0.6)
-    looks = rays(CAMERA, 0.6, turned(0.0, 0.0), MOUNT)
+    looks = rays(View(CAMERA, turned(0.0, 0.0), MOUNT, 0.6))
     lowest = 0.6 / math.tan(math.radians(20.0) + math.atan(60.0 / 80.0))
     middle = (depth * looks.ahead)[:, 80]
     np.testing.assert_allclose(middle, lowest, rtol=0.03)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from dream.geometry import SE3, Camera, camera_mount
-from dream.perception import FlatFloor, LearnedDepth, LearnedLabels, Perception, Sidecar, read_sidecar
+from dream.perception import FlatFloor, LearnedDepth, LearnedLabels, Perception, Sidecar, View, read_sidecar
 from dream.perception.flat_floor import floor_depth, rays
 from dream.perception.placing import placed, resampled
 from dream.perception.scaling import fit_to_floor
@@ -20,7 +20,7 @@ from tests.perception.models import constant, instances, redness, redness_last
 CLASSES = {"floor": "seabed", "shell": "target", "pipe": "obstacle"}
 LOGITS = {"output": "logits", "classes": CLASSES}
 CAMERA = Camera.from_fov(64, 48, math.radians(90.0))
-LEVEL, MOUNT = SE3.level(0.0, 0.0, 0.0, 0.4), camera_mount(math.radians(20.0))
+VIEW = View(CAMERA, SE3.level(0.0, 0.0, 0.0, 0.4), camera_mount(math.radians(20.0)), 0.6)
 
 
 def scene() -> UInt8Array:
@@ -149,7 +149,7 @@ def test_a_model_that_thins_out_its_boxes_itself_says_the_same(tmp_path: Path) -
 
 def test_what_belongs_to_no_instance_is_left_to_another_segmenter(tmp_path: Path) -> None:
     class Walls:
-        def segment(self, rgb: UInt8Array) -> tuple[UInt8Array, Float32Array]:
+        def segment(self, rgb: UInt8Array, view: View | None = None) -> tuple[UInt8Array, Float32Array]:
             return np.full(rgb.shape[:2], Label.OBSTACLE, np.uint8), np.full(rgb.shape[:2], 0.7, np.float32)
 
     path = instances(tmp_path / "m.onnx", *table_and_masks(), METADATA)
@@ -238,20 +238,20 @@ def test_a_sidecar_for_another_model_is_refused(tmp_path: Path) -> None:
 
 
 def flat() -> np.ndarray:
-    return floor_depth(rays(CAMERA, 0.6, LEVEL, MOUNT), 20.0)
+    return floor_depth(rays(VIEW), 20.0)
 
 
 def depth_of(path: Path, output: str, labels: UInt8Array) -> tuple[Float32Array, Float32Array]:
     model = LearnedDepth(path, sidecar=Sidecar.model_validate({"output": output}))
     rgb = np.zeros((48, 64, 3), np.uint8)
-    return model.estimate(rgb, labels, CAMERA, 0.6, LEVEL, MOUNT)
+    return model.estimate(rgb, labels, VIEW)
 
 
 def seen() -> tuple[np.ndarray, UInt8Array]:
     """A floor on which a wall stands; true depth and labels."""
     labels = np.full((48, 64), Label.SEABED, np.uint8)
     labels[:24] = Label.OBSTACLE
-    truth = FlatFloor().estimate(np.zeros((48, 64, 3), np.uint8), labels, CAMERA, 0.6, LEVEL, MOUNT)[0]
+    truth = FlatFloor().estimate(np.zeros((48, 64, 3), np.uint8), labels, VIEW)[0]
     return truth, labels
 
 
@@ -343,9 +343,7 @@ def test_a_depth_that_is_the_same_for_other_pictures_is_not_believed(tmp_path: P
     sidecar = Sidecar.model_validate({"output": "metric_depth"})
     model = LearnedDepth(constant(tmp_path / "m.onnx", truth), sidecar=sidecar)
     rgb = np.zeros((48, 64, 3), np.uint8)
-    sure = [
-        float(model.estimate(rgb + np.uint8(n), labels, CAMERA, 0.6, LEVEL, MOUNT)[1].max()) for n in range(5)
-    ]
+    sure = [float(model.estimate(rgb + np.uint8(n), labels, VIEW)[1].max()) for n in range(5)]
     np.testing.assert_allclose(sure, [1.0, 1.0, 1.0, 0.0, 0.0])
 
 
@@ -407,7 +405,7 @@ def test_networks_make_a_perception(tmp_path: Path) -> None:
         constant(tmp_path / "d.onnx", truth), sidecar=Sidecar.model_validate({"output": "metric_depth"})
     )
     perception = Perception(segmenter, depth_model)
-    shows = perception.perceive(scene(), CAMERA, LEVEL, MOUNT, 0.6)
+    shows = perception.perceive(scene(), VIEW)
     assert (shows.labels == expected()).mean() > 0.98
     assert np.isfinite(shows.depth).all()
     assert ((shows.confidence >= 0.0) & (shows.confidence <= 1.0)).all()

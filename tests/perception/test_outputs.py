@@ -12,7 +12,7 @@ import onnx
 import pytest
 from onnx import TensorProto, helper
 
-from dream.perception import LearnedLabels, Sidecar, read_sidecar
+from dream.perception import LearnedLabels, Sidecar, View, read_sidecar
 from dream.perception.sidecar import check_names
 from dream.types import Float32Array, Label, UInt8Array
 from tests.perception.models import ending, instances
@@ -99,7 +99,7 @@ def test_one_map_is_one_class_and_what_is_not_it(
 
 def test_what_is_not_the_class_is_left_to_another_segmenter(tmp_path: Path) -> None:
     class Walls:
-        def segment(self, rgb: UInt8Array) -> tuple[UInt8Array, Float32Array]:
+        def segment(self, rgb: UInt8Array, view: View | None = None) -> tuple[UInt8Array, Float32Array]:
             return np.full(rgb.shape[:2], Label.OBSTACLE, np.uint8), np.full(rgb.shape[:2], 0.7, np.float32)
 
     labels, confidence = seen(ending(tmp_path / "m.onnx", RED_NOT_BLUE), OYSTER, under=Walls())

@@ -9,25 +9,26 @@ import numpy as np
 import pytest
 
 from dream.geometry import SE3, Camera, camera_mount
-from dream.perception import FlatFloor, Perception
+from dream.perception import FlatFloor, Perception, View
 from dream.perception.depth import averaged
 from dream.types import Float32Array, Label, UInt8Array
 
 CAMERA = Camera.from_fov(8, 6, math.radians(90.0))
 LEVEL, MOUNT = SE3.level(0.0, 0.0, 0.0, 0.0), camera_mount(math.radians(20.0))
+SMALL_VIEW = View(CAMERA, LEVEL, MOUNT, 2.0)
 
 
 class Bright:
     """Calls bright pixels target."""
 
-    def segment(self, rgb: UInt8Array) -> tuple[UInt8Array, Float32Array]:
+    def segment(self, rgb: UInt8Array, view: View | None = None) -> tuple[UInt8Array, Float32Array]:
         labels = np.where(rgb.mean(axis=2) > 100.0, Label.TARGET, Label.SEABED).astype(np.uint8)
         return labels, np.full(labels.shape, 0.8, np.float32)
 
 
 def test_confidence_is_the_lesser_of_the_two() -> None:
     perception = Perception(Bright(), FlatFloor())
-    shows = perception.perceive(np.zeros((6, 8, 3), np.uint8), CAMERA, LEVEL, MOUNT, 2.0)
+    shows = perception.perceive(np.zeros((6, 8, 3), np.uint8), SMALL_VIEW)
     depth, labels, confidence = shows.depth, shows.labels, shows.confidence
     assert depth.shape == labels.shape == confidence.shape == (6, 8)
     assert depth.dtype == confidence.dtype == np.float32
@@ -36,7 +37,7 @@ def test_confidence_is_the_lesser_of_the_two() -> None:
     assert np.isnan(depth).any()
 
 
-LARGE = Camera.from_fov(32, 24, math.radians(90.0))
+LARGE_VIEW = View(Camera.from_fov(32, 24, math.radians(90.0)), LEVEL, MOUNT, 2.0)
 
 
 class Far:
@@ -45,30 +46,22 @@ class Far:
     def __init__(self, times: float, sure: float) -> None:
         self.times, self.sure = times, sure
 
-    def estimate(
-        self,
-        rgb: UInt8Array,
-        labels: UInt8Array,
-        camera: Camera,
-        altitude: float,
-        T_world_base: SE3,
-        T_base_camera: SE3,
-    ) -> tuple[Float32Array, Float32Array]:
-        floor, _ = FlatFloor().estimate(rgb, labels, camera, altitude, T_world_base, T_base_camera)
+    def estimate(self, rgb: UInt8Array, labels: UInt8Array, view: View) -> tuple[Float32Array, Float32Array]:
+        floor, _ = FlatFloor().estimate(rgb, labels, view)
         return self.times * floor, np.where(np.isnan(floor), 0.0, self.sure).astype(np.float32)
 
 
 @pytest.mark.parametrize("times", [3.0, 0.3, 1.3])
 def test_depth_of_which_nobody_is_sure_is_none_and_it_is_said_how_far_off_it_is(times: float) -> None:
     black = np.zeros((24, 32, 3), np.uint8)
-    shows = Perception(Bright(), Far(times, 0.0)).perceive(black, LARGE, LEVEL, MOUNT, 2.0)
+    shows = Perception(Bright(), Far(times, 0.0)).perceive(black, LARGE_VIEW)
     assert np.isnan(shows.depth).all()
     assert (shows.confidence == 0.0).all()
     assert shows.account.beside_floor == pytest.approx(times)
     assert shows.account.agreement == 0.0
     assert shows.account.no_depth == 24 * 32
     assert f"depth: {times:.1f} times as far as the floor" in shows.account.doubt
-    unsure = Perception(Bright(), Far(times, 0.2)).perceive(black, LARGE, LEVEL, MOUNT, 2.0)
+    unsure = Perception(Bright(), Far(times, 0.2)).perceive(black, LARGE_VIEW)
     assert np.isfinite(unsure.depth).any()
     assert unsure.account.confidence == pytest.approx(0.2)
 
@@ -77,7 +70,7 @@ def test_what_the_lens_did_not_see_counts_for_nothing() -> None:
     seen = np.zeros((24, 32), np.bool_)
     seen[12:] = True
     black = np.zeros((24, 32, 3), np.uint8)
-    shows = Perception(Bright(), FlatFloor()).perceive(black, LARGE, LEVEL, MOUNT, 2.0, seen)
+    shows = Perception(Bright(), FlatFloor()).perceive(black, LARGE_VIEW, seen)
     assert np.isnan(shows.depth[:12]).all()
     assert np.isfinite(shows.depth[12:]).all()
     assert shows.account.shares == (0.0, 1.0, 0.0, 0.0)
@@ -86,9 +79,7 @@ def test_what_the_lens_did_not_see_counts_for_nothing() -> None:
 
 
 def test_an_account_goes_into_json() -> None:
-    tiny = Perception(Bright(), FlatFloor()).perceive(
-        np.zeros((6, 8, 3), np.uint8), CAMERA, LEVEL, MOUNT, 2.0
-    )
+    tiny = Perception(Bright(), FlatFloor()).perceive(np.zeros((6, 8, 3), np.uint8), SMALL_VIEW)
     said = json.loads(json.dumps(tiny.account.said(), allow_nan=False))
     # Too few pixels show the floor.
     assert said["depth_beside_floor"] is None
@@ -116,4 +107,4 @@ def test_a_finer_picture_is_averaged_over_the_cameras_pixels() -> None:
 )
 def test_a_picture_that_does_not_fit_is_refused(rgb: np.ndarray) -> None:
     with pytest.raises(ValueError, match="rgb: expected"):
-        Perception(Bright(), FlatFloor()).perceive(rgb, CAMERA, LEVEL, MOUNT, 2.0)
+        Perception(Bright(), FlatFloor()).perceive(rgb, SMALL_VIEW)

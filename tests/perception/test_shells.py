@@ -11,7 +11,7 @@ from PIL import Image
 
 from dream.geometry import SE3, Bounds
 from dream.mapping import OccupancyMap
-from dream.perception import FlatFloor, Perception, Shells
+from dream.perception import FlatFloor, Perception, Shells, View
 from dream.protocol import POOL_V1
 from dream.sim.render import Frame, Renderer
 from dream.sim.solids import Solids
@@ -189,9 +189,8 @@ def test_the_map_from_colour_alone_is_nearly_that_of_true_depth(views: list[tupl
     told, true = (OccupancyMap(Bounds(-3.0, -3.0, 3.0, 3.0), POOL_V1) for _ in range(2))
     perception, camera = Perception(Shells(), FlatFloor()), POOL_V1.camera
     for frame, pose in views:
-        shows = perception.perceive(
-            compressed(frame.rgb), camera, pose, POOL_V1.T_base_camera, POOL_V1.altitude
-        )
+        view = View(camera, pose, POOL_V1.T_base_camera, POOL_V1.altitude)
+        shows = perception.perceive(compressed(frame.rgb), view)
         told.integrate(shows.depth, shows.labels, camera, pose @ POOL_V1.T_base_camera, shows.confidence)
         true.integrate(frame.depth, frame.labels, camera, pose @ POOL_V1.T_base_camera)
     free = true.known & ~true.solid

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from dream.geometry import SE3, camera_mount
+from dream.perception import FlatFloor, Parallax, Perception, Shells, View
 from dream.protocol import (
     DREAM_V1,
     DREAM_V1_NOISY,
@@ -23,7 +24,7 @@ from dream.sim.render import Renderer
 from dream.sim.visual_range import UNTOLD
 from dream.sim.water import Water
 from dream.sim.world import World
-from dream.types import Label, Observation
+from dream.types import Float32Array, Label, Observation, UInt8Array
 
 TRUE = protocol_named("dream-v2-true")
 TILT = math.radians(45.0)
@@ -50,6 +51,30 @@ def look(
 ) -> tuple[Observation, SimulatedCamera]:
     camera = SimulatedCamera(world, protocol, world.starts[0], None, 1)
     return camera.observe(1.0, moves, *poses(world), tilt), camera
+
+
+def test_by_sight_a_picture_is_checked_by_beams_and_by_those_before(string_reef: World) -> None:
+    views: list[View] = []
+
+    class Flat(FlatFloor):
+        def estimate(
+            self, rgb: UInt8Array, labels: UInt8Array, view: View
+        ) -> tuple[Float32Array, Float32Array]:
+            views.append(view)
+            return super().estimate(rgb, labels, view)
+
+    told = Perception(Shells(), Flat(), Parallax())
+    protocol = protocol_named("dream-v2-seen")
+    camera = SimulatedCamera(string_reef, protocol, string_reef.starts[0], None, 1, told)
+    camera.observe(0.0, 0, *poses(string_reef), TILT)
+    beams = views[0].beams
+    assert beams is not None
+    truth = poses(string_reef)[0]
+    ground = [float(string_reef.terrain.height(x, y)) for x, y, _ in (truth @ beams)]
+    np.testing.assert_allclose((truth @ beams)[:, 2], ground, atol=0.05)
+    # Another mission begins with the same: what this one saw is none of its business.
+    assert told.check is not None
+    assert not told.check._shots
 
 
 def same(a: Observation, b: Observation, *but: str) -> bool:

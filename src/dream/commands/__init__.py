@@ -14,6 +14,7 @@ from dream.commands.run import Run, run_with
 from dream.commands.seal import Seal
 from dream.commands.survey import Survey
 from dream.commands.sweep import Sweep
+from dream.commands.teach import Teach
 from dream.commands.train import Train
 from dream.commands.watch import Watch
 from dream.commands.worlds import Draw, Worlds
@@ -34,6 +35,7 @@ __all__ = [
     "Seal",
     "Survey",
     "Sweep",
+    "Teach",
     "Train",
     "Watch",
     "Worlds",

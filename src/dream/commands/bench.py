@@ -13,6 +13,7 @@ import tyro
 
 from dream.commands.console import check_no_world, print_json, with_scores
 from dream.commands.progress import stage
+from dream.commands.see import See, protocol_seen
 from dream.commands.swim import Swim
 from dream.errors import MissionAborted
 from dream.flies import check_flies
@@ -164,6 +165,8 @@ class Bench(Flying):
     """Of `sealed`: what was published of each of these blocks. Other worlds are refused."""
     protocol: First[str | None] = None
     """Rules of the survey: sensors, reach and cap. Unless given, dream-v2; those of the pool for a tank."""
+    see: See = "told"
+    """Labels and depth as the simulator tells them, or as a network learned to see them in colours."""
     out: First[Path | None] = None
     """Folder of the benchmark. Unless given, one in `bench`."""
     swim: Swim = field(default_factory=Swim)
@@ -177,7 +180,7 @@ class Bench(Flying):
         engine, blocks = self.chosen_engine(), self._blocks()
         name, cases = self._cases() if not blocks else (SEALED, sum((each.cases() for each in blocks), ()))
         made_for = SEALED_PROTOCOL if blocks else cases[0].open().protocol
-        protocol = protocol_for(made_for, self.protocol)
+        protocol = protocol_for(made_for, protocol_seen(self.protocol, self.see))
         planners = self.chosen_planners(protocol)
         swimming = self.swim.chosen(protocol)
         sealing = sealed(blocks) if blocks else None

@@ -23,6 +23,7 @@ from dream.commands.ground import Ground
 from dream.commands.mission import check_terminal, confirmed, draw_orders, given
 from dream.commands.outcome import fly_to_end, tell_outcome, write_scene_of
 from dream.commands.progress import stage
+from dream.commands.see import See, protocol_seen
 from dream.commands.swim import Swim
 from dream.flies import check_flies
 from dream.options import First
@@ -70,6 +71,8 @@ class Run:
     more, by the area; 200 in the plane."""
     protocol: First[str | None] = None
     """Rules of the survey: sensors, reach and cap. Unless given, dream-v2; those of the pool for a tank."""
+    see: First[See] = "told"
+    """Labels and depth as the simulator tells them, or as a network learned to see them in colours."""
     mission: First[str | None] = None
     """Orders: a file that `dream mission` wrote. A planner that asks a model also takes plain words."""
     yes: bool = False
@@ -119,7 +122,7 @@ class Run:
             with kept_interrupts() as check:
                 with stage(f"opening {self.world} {self.seed}"):
                     world = open_world(self.world, self.seed)
-                protocol = protocol_in(world, self.protocol)
+                protocol = protocol_in(world, protocol_seen(self.protocol, self.see))
                 check_flies(self.planner, protocol)
                 check_max_steps(self.max_steps, protocol)
                 swimming = self.swim.chosen(protocol)

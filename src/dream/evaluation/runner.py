@@ -11,7 +11,7 @@ import shutil
 import time
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from itertools import groupby, pairwise
 from pathlib import Path
 from typing import Any
@@ -45,6 +45,7 @@ from dream.mapping import OccupancyMap
 from dream.mapping.prior import Prior
 from dream.mission import Robot, explore
 from dream.orders import Orders, sentences, written
+from dream.perception import Perception
 from dream.planning import LABELLED, PLANNERS, AnyPlanner, planner_name
 from dream.planning.identity import files_given, identity
 from dream.planning.vlm.asking import Asking
@@ -90,6 +91,7 @@ def simulate(
     solids: Solids | None = None,
     prior: Prior | None = None,
     fineness: int | None = None,
+    perception: Perception | None = None,
 ) -> Iterator[Step]:
     """One mission of a planner in a world; see `mission.explore`.
 
@@ -106,6 +108,8 @@ def simulate(
         prior: What an earlier survey holds of the same ground.
         fineness: Pixels of colour along each side of a pixel of depth and labels; what the planner looks at
             unless given.
+        perception: Tells labels and depth under a protocol of sight by which nothing swims; the network that
+            comes with DREAM unless given.
     """
     if not 0 <= start < len(world.starts):
         raise ValueError(f"start: expected 0 to {len(world.starts) - 1} for {world.name}, got {start}")
@@ -115,7 +119,7 @@ def simulate(
     if fineness is None:
         fineness = SHOWN if isinstance(planner, Asking) else 1
     chosen = swimming_under(protocol, swimming)
-    launch = Teleport if chosen is None else chosen.launch
+    launch = partial(Teleport, perception=perception) if chosen is None else chosen.launch
     robot: Robot = launch(
         world, protocol, world.starts[start], renderer=renderer, solids=solids, fineness=fineness
     )

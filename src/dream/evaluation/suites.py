@@ -128,12 +128,18 @@ SUITES: dict[str, tuple[Case, ...]] = {
     "test": _generated(range(1001, 1026), range(1001, 1011), range(1001, 1011)),
     "dev-v2": _wide(range(2001, 2026), range(2001, 2101), range(2001, 2005)),
     "test-v2": _wide(range(3001, 3026), range(3001, 3026), range(3001, 3011)),
+    "test-seen": (
+        *(Case(name, seed) for name in HABITATS for seed in range(4001, 4006)),
+        *(Case(name, 4006) for name in (*WEAK, "reef/two")),
+        *(Case(f"wreck/{number}", seed) for number in WRECKS for seed in (4001, 4002)),
+    ),
 }
 """`paper`: ten reefs and five wrecks, as many as the paper has. `dev`: 60 worlds to develop and tune on.
 `test`: 200 worlds to report; no parameter was chosen by them, and whoever tunes on them has no result. Of
 its wrecks, seeds 1001 to 1003 of `wreck/1` to `wreck/4` were looked at while the belief about hulls was made
 finer. `dev-v2` and `test-v2` are the same for protocols that move in space: 605 and 350 worlds. Of `test-v2`
-the first two reefs of each wide family and the first of each wreck were flown once."""
+the first two reefs of each wide family and the first of each wreck were flown once. `test-seen`: 60 reefs and
+ten wrecks for `dream-v2-seen`, whose network learned from none of them."""
 
 
 def suite_named(name: str) -> tuple[Case, ...]:

@@ -271,7 +271,7 @@ def summary(outcomes: list[Outcome]) -> dict[str, float]:
 
 
 def _options(curriculum: Curriculum) -> list[str]:
-    """What `dream train` is to be told, where that is not as it would do anyway."""
+    """What `dream train uivnav` is to be told, where that is not as it would do anyway."""
     usual = Curriculum()
     told = {
         name: getattr(curriculum, name) for name in ("missions", "more", "rounds", "steps", "trials", "seed")
@@ -336,6 +336,6 @@ def _card(
             "python": platform.python_version(),
             **{name: version(name) for name in ("torch", "onnx", "numpy")},
         },
-        "command": " ".join(["dream train", *_options(curriculum)]),
+        "command": " ".join(["dream train uivnav", *_options(curriculum)]),
         "licence": "Apache-2.0",
     }

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Protocol
+from dataclasses import dataclass, replace
+from typing import Protocol, Self
 
 import numpy as np
 
-from dream.geometry import SE3, Camera
+from dream.geometry import Camera
+from dream.perception.flat_floor import floor_depth, rays
+from dream.perception.parallax import Checked, Parallax
+from dream.perception.view import View
 from dream.types import BoolArray, Float32Array, Label, UInt8Array
 
 LEAST_BELIEVED = 1.0 / 32.0
@@ -22,11 +25,12 @@ NEAR_ENOUGH = 0.1
 class Segmenter(Protocol):
     """Tells what every pixel shows."""
 
-    def segment(self, rgb: UInt8Array) -> tuple[UInt8Array, Float32Array]:
+    def segment(self, rgb: UInt8Array, view: View | None = None) -> tuple[UInt8Array, Float32Array]:
         """Labels and confidence.
 
         Args:
             rgb: (H, W, 3).
+            view: Where it was taken; None where that is not known.
 
         Returns:
             (H, W) values of `Label`, and (H, W) float32 in [0, 1]: the probability that each is right, 0
@@ -37,24 +41,13 @@ class Segmenter(Protocol):
 class DepthModel(Protocol):
     """Tells how far away every pixel is."""
 
-    def estimate(
-        self,
-        rgb: UInt8Array,
-        labels: UInt8Array,
-        camera: Camera,
-        altitude: float,
-        T_world_base: SE3,
-        T_base_camera: SE3,
-    ) -> tuple[Float32Array, Float32Array]:
+    def estimate(self, rgb: UInt8Array, labels: UInt8Array, view: View) -> tuple[Float32Array, Float32Array]:
         """Depth and confidence.
 
         Args:
             rgb: (H, W, 3).
             labels: (H, W) values of `Label`, as a segmenter gave them.
-            camera: Intrinsics of both.
-            altitude: Metres of `base` above the floor, along the vertical.
-            T_world_base: Attitude of the vehicle; where it is and its heading do not matter.
-            T_base_camera: Where the camera sits.
+            view: Where it was taken.
 
         Returns:
             (H, W) float32 metres along the optical axis, NaN where unknown; and (H, W) float32 in [0, 1],
@@ -86,12 +79,18 @@ class Account:
     are by a network that knows of neither; NaN where too little is above."""
     doubt: str
     """What speaks against all of it, in words that stay the same while it lasts; empty where nothing does."""
+    scale: float = math.nan
+    """That depth was multiplied by, as motion says; NaN where it was not."""
+    points: int = 0
+    """Pixels whose depth was checked by motion, or by a beam of the DVL."""
+    against: int = 0
+    """Of these, those that contradict it."""
 
     def said(self) -> dict[str, object]:
         """For a log, in JSON."""
-        beside, agreement, floating = (
+        beside, agreement, floating, scale = (
             round(value, 3) if math.isfinite(value) else None
-            for value in (self.beside_floor, self.agreement, self.floating)
+            for value in (self.beside_floor, self.agreement, self.floating, self.scale)
         )
         return {
             "confidence": round(self.confidence, 3),
@@ -104,6 +103,9 @@ class Account:
                 label.name.lower(): round(share, 3) for label, share in zip(Label, self.shares, strict=True)
             },
             "seabed_above_horizon": floating,
+            "depth_scale": scale,
+            "points_checked": self.points,
+            "points_against": self.against,
             "doubt": self.doubt,
         }
 
@@ -134,51 +136,56 @@ class Perception:
 
     segmenter: Segmenter
     depth: DepthModel
+    check: Parallax | None = None
+    """Holds the depth against motion and the DVL's beams, where given; it remembers earlier pictures."""
 
-    def perceive(
-        self,
-        rgb: UInt8Array,
-        camera: Camera,
-        T_world_base: SE3,
-        T_base_camera: SE3,
-        altitude: float,
-        seen: BoolArray | None = None,
-    ) -> Perceived:
+    @property
+    def anew(self) -> Self:
+        """The same, with a check that has seen nothing yet where it has one."""
+        return self if self.check is None else replace(self, check=Parallax(self.check.noise))
+
+    def perceive(self, rgb: UInt8Array, view: View, seen: BoolArray | None = None) -> Perceived:
         """What a picture shows.
 
         Args:
             rgb: (k H, k W, 3) uint8.
-            camera: Intrinsics of an image of (H, W).
-            T_world_base: Only its attitude counts.
-            T_base_camera: Where the camera sits.
-            altitude: Metres of `base` above the floor, along the vertical.
+            view: Where it was taken; its camera is that of an image of (H, W).
             seen: (H, W) pixels that the lens saw; the others have no depth. All where None.
 
         Raises:
             ValueError: The picture does not fit the camera, or the altitude is not a number above 0.
         """
+        camera = view.camera
         coarse = averaged(rgb, camera)
-        labels, sure = self.segmenter.segment(coarse)
+        labels, sure = self.segmenter.segment(coarse, view)
         camera.check(labels, "labels")
-        depth, near = self.depth.estimate(coarse, labels, camera, altitude, T_world_base, T_base_camera)
+        depth, near = self.depth.estimate(coarse, labels, view)
         camera.check(depth, "depth")
         seen = np.ones(labels.shape, np.bool_) if seen is None else seen
+        checked: Checked | None = None
+        if self.check is not None:
+            checked = self.check.corrected(coarse, labels, depth, near, view, seen)
+            depth, near = checked.depth, checked.near
         confidence = np.minimum(sure, near)
         believed = seen & np.isfinite(depth) & (confidence >= LEAST_BELIEVED)
         kept = np.where(believed, depth, np.float32(np.nan))
         confidence = np.where(believed, confidence, np.float32(0.0))
-        floor, above = _floor(camera, altitude, T_world_base, T_base_camera)
+        floor, above = _floor(view)
         account = _account(labels, sure, depth, confidence, seen, floor, above)
+        if checked is not None:
+            account = replace(
+                account,
+                scale=checked.scale,
+                points=checked.points,
+                against=checked.against,
+                doubt="; ".join(filter(None, (account.doubt, checked.doubt))),
+            )
         return Perceived(kept, labels, confidence, account)
 
 
-def _floor(
-    camera: Camera, altitude: float, T_world_base: SE3, T_base_camera: SE3
-) -> tuple[Float32Array, BoolArray]:
+def _floor(view: View) -> tuple[Float32Array, BoolArray]:
     """(H, W) metres to the flat floor, however far, and the pixels that look above the horizon."""
-    from dream.perception.flat_floor import floor_depth, rays
-
-    looks = rays(camera, altitude, T_world_base, T_base_camera)
+    looks = rays(view)
     return floor_depth(looks, math.inf), looks.down <= 0.0
 
 

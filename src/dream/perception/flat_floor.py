@@ -12,7 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dream.geometry import SE3, Camera, FloatArray
+from dream.geometry import Camera, FloatArray
+from dream.perception.view import View
 from dream.types import BoolArray, Float32Array, Label, UInt8Array
 
 BEHIND_FOOT = 0.9
@@ -41,18 +42,14 @@ class Rays:
     """(3, 3) from the camera to that level frame."""
 
 
-def rays(camera: Camera, altitude: float, T_world_base: SE3, T_base_camera: SE3) -> Rays:
+def rays(view: View) -> Rays:
     """Where all pixels look, in a frame that is level and turned with the vehicle.
-
-    Args:
-        camera: Intrinsics.
-        altitude: Metres of `base` above the floor, along the vertical.
-        T_world_base: Only its roll and pitch count.
-        T_base_camera: Where the camera sits.
 
     Raises:
         ValueError: The altitude is not a number of metres above 0.
     """
+    camera, altitude = view.camera, view.altitude
+    T_world_base, T_base_camera = view.T_world_base, view.T_base_camera
     if not 0.0 < altitude < math.inf:
         raise ValueError(f"altitude: expected metres above 0, got {altitude}. Does the DVL see the floor?")
     yaw = T_world_base.yaw
@@ -101,18 +98,11 @@ class FlatFloor:
         if not 0.0 < self.max_depth < math.inf:
             raise ValueError(f"max_depth: expected metres above 0, got {self.max_depth}")
 
-    def estimate(
-        self,
-        rgb: UInt8Array,
-        labels: UInt8Array,
-        camera: Camera,
-        altitude: float,
-        T_world_base: SE3,
-        T_base_camera: SE3,
-    ) -> tuple[Float32Array, Float32Array]:
+    def estimate(self, rgb: UInt8Array, labels: UInt8Array, view: View) -> tuple[Float32Array, Float32Array]:
         """See `DepthModel.estimate`; the colours are not looked at."""
+        camera = view.camera
         camera.check(labels, "labels")
-        looks = rays(camera, altitude, T_world_base, T_base_camera)
+        looks = rays(view)
         floor = floor_depth(looks, self.max_depth)
         pixel = PIXELS_ROUGH / min(camera.fx, camera.fy)
         # A ray that is δ off in elevation meets the floor δ·(ρ² + h²) / (h ρ) of its distance off.

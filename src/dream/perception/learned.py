@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from dream.geometry import SE3, Camera
 from dream.perception.depth import FEWEST, Segmenter
 from dream.perception.flat_floor import floor_depth, rays
 from dream.perception.onnx import Network, input_side
 from dream.perception.outputs import HALF, MOST_LOST, ROUGH, UNTOLD, Answer, form_of, labelled, unbelieved
 from dream.perception.placing import Frame, picture, placed, resampled
+from dream.perception.repeats import Repeats
 from dream.perception.scaling import Fit, fit_to_floor, judged
 from dream.perception.sidecar import (
     LABELLING,
@@ -24,6 +24,7 @@ from dream.perception.sidecar import (
     sidecar_beside,
     ultralytics,
 )
+from dream.perception.view import View
 from dream.protocol import farthest_return
 from dream.types import Float32Array, Label, UInt8Array
 
@@ -31,31 +32,6 @@ MOST_INSTANCES = 100
 """The best of a picture."""
 LEAST_AGREEMENT = 0.1
 """Share of the floor's pixels on which network and floor have to agree, or the network is not believed."""
-REPEATS = 3
-"""Different pictures in a row after which one and the same answer is none."""
-
-
-class Repeats:
-    """Whether a network answers the same whatever it is shown.
-
-    Numbers that are the same everywhere tell nothing: so may open water be answered to for long. Nor do whole
-    ones: those of a view that stays the same may well be the same.
-    """
-
-    def __init__(self) -> None:
-        """Nothing was shown yet."""
-        self._picture: npt.NDArray[Any] | None = None
-        self._answer: npt.NDArray[Any] | None = None
-        self._count = 0
-
-    def told(self, x: npt.NDArray[Any], answer: npt.NDArray[Any]) -> bool:
-        """Take in what went in and came out; has it been the same for `REPEATS` more that were different?"""
-        if self._picture is None or not np.array_equal(x, self._picture):
-            same = self._answer is not None and np.array_equal(answer, self._answer, equal_nan=True)
-            tells = answer.dtype.kind == "f" and answer.size > 0 and answer.min() != answer.max()
-            self._count = self._count + 1 if same and tells else 0
-            self._picture, self._answer = x, answer
-        return self._count >= REPEATS
 
 
 def _opened(
@@ -145,7 +121,7 @@ class LearnedLabels:
         answers = [answer for rgb in tests for answer in self._answers(rgb)[0]]
         self._form = form_of(self._sidecar, self._network.operator(name), answers)
 
-    def segment(self, rgb: UInt8Array) -> tuple[UInt8Array, Float32Array]:
+    def segment(self, rgb: UInt8Array, view: View | None = None) -> tuple[UInt8Array, Float32Array]:
         """See `Segmenter.segment`.
 
         Raises:
@@ -154,7 +130,7 @@ class LearnedLabels:
         labels, confidence, found = self._own(rgb)
         if self._under is None or found.all():
             return labels, confidence
-        below, sure = self._under.segment(rgb)
+        below, sure = self._under.segment(rgb, view)
         return np.where(found, labels, below), np.where(found, confidence, np.minimum(sure, confidence))
 
     @property
@@ -313,24 +289,16 @@ class LearnedDepth:
         self._raw(np.zeros((16, 16, 3), np.uint8))
         self._repeats = Repeats()
 
-    def estimate(
-        self,
-        rgb: UInt8Array,
-        labels: UInt8Array,
-        camera: Camera,
-        altitude: float,
-        T_world_base: SE3,
-        T_base_camera: SE3,
-    ) -> tuple[Float32Array, Float32Array]:
+    def estimate(self, rgb: UInt8Array, labels: UInt8Array, view: View) -> tuple[Float32Array, Float32Array]:
         """See `DepthModel.estimate`.
 
         Raises:
             ValueError: The network's answer is not what it should be.
         """
-        camera.check(rgb, "rgb")
-        camera.check(labels, "labels")
+        view.camera.check(rgb, "rgb")
+        view.camera.check(labels, "labels")
         raw, repeats = self._raw(rgb)
-        floor = floor_depth(rays(camera, altitude, T_world_base, T_base_camera), self._max_depth)
+        floor = floor_depth(rays(view), self._max_depth)
         on_floor = ((labels == Label.SEABED) | (labels == Label.TARGET)) & np.isfinite(floor)
         fit: Fit | None
         if self._sidecar.output == "metric_depth":

@@ -229,7 +229,7 @@ def checked_bytes(
 
 
 class Network:
-    """One input picture, some output arrays.
+    """One input picture, perhaps with more beside it, and some output arrays.
 
     Assumes: a batch of one.
     """
@@ -242,6 +242,7 @@ class Network:
         most: int | None = None,
         sha256: str | None = None,
         extra: str = "rov",
+        beside: tuple[str, ...] = (),
     ) -> None:
         """Open a file.
 
@@ -251,6 +252,7 @@ class Network:
             most: Bytes of the file at most; `MOST_BYTES` unless given.
             sha256: Digest that the file must have; any where None.
             extra: Which of the package's extras is asked for where ONNX Runtime is not installed.
+            beside: Names of inputs that the model has after its picture, each of float32.
 
         Raises:
             ValueError: The file is refused, with the reason; see `checked_bytes`.
@@ -272,6 +274,8 @@ class Network:
             raise ValueError(f"model: ONNX Runtime refuses {path}: {_first_line(error)}") from error
         self.path = str(path)
         inputs = self._session.get_inputs()
+        if tuple(i.name for i in inputs[1:]) == beside and all(i.type == "tensor(float)" for i in inputs[1:]):
+            inputs = inputs[:1]
         if len(inputs) != 1 or inputs[0].type not in KINDS:
             got = ", ".join(f"{i.name[:MOST_NAME]}: {i.type}" for i in inputs[:4])
             raise ValueError(
@@ -298,12 +302,18 @@ class Network:
         """The operator whose numbers an output holds; see `Contents.operator`."""
         return self._contents.operator(output)
 
-    def run(self, picture: npt.NDArray[Any], names: list[str]) -> list[npt.NDArray[Any]]:
+    def run(
+        self,
+        picture: npt.NDArray[Any],
+        names: list[str],
+        beside: Mapping[str, npt.NDArray[np.float32]] | None = None,
+    ) -> list[npt.NDArray[Any]]:
         """Outputs for one picture, as they come: whole numbers, booleans or floats, finite or not.
 
         Args:
             picture: As the input's shape asks; float32, or uint8 where the input is.
             names: Of the outputs.
+            beside: The inputs after the picture, by name.
 
         Raises:
             ValueError: The picture's numbers are of another kind, ONNX Runtime fails, or an output is no
@@ -314,7 +324,7 @@ class Network:
         with np.errstate(over="ignore"):  # Of half precision: an inf comes out as one, and is told there.
             fed = picture.astype(self.kind, copy=False)
         try:
-            answers: list[npt.NDArray[Any]] = self._session.run(names, {self._name: fed})
+            answers: list[npt.NDArray[Any]] = self._session.run(names, {self._name: fed, **(beside or {})})
         except Exception as error:
             raise ValueError(f"model: {self.path} fails on {picture.shape}: {_first_line(error)}") from error
         for name, answer in zip(names, answers, strict=True):

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from dream.perception.view import View
 from dream.types import BoolArray, Float32Array, Label, UInt8Array
 
 Line = tuple[float, float]
@@ -88,7 +89,7 @@ class Shells:
         if not 0.0 <= self.highest < 1.0:
             raise ValueError(f"highest: expected a share of the image's height, got {self.highest}")
 
-    def segment(self, rgb: UInt8Array) -> tuple[UInt8Array, Float32Array]:
+    def segment(self, rgb: UInt8Array, view: View | None = None) -> tuple[UInt8Array, Float32Array]:
         """See `Segmenter.segment`."""
         from scipy import ndimage
 

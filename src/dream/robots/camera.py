@@ -8,13 +8,18 @@ from functools import cached_property
 import numpy as np
 
 from dream.geometry import SE2, SE3, camera_mount
-from dream.protocol import LastingErrors, SurveyProtocol
-from dream.sim.camera_noise import noise_generator, with_noise
+from dream.perception import Parallax, Perception, Sight, View, beam_ends
+from dream.protocol import Grain, LastingErrors, SurveyProtocol
+from dream.sim.camera_noise import grainy, noise_generator, with_noise
 from dream.sim.lasting import mission_errors, with_wrong_labels
 from dream.sim.render import Frame, Renderer
+from dream.sim.sounding import Sounder, altitude
 from dream.sim.visual_range import through_water
 from dream.sim.world import UInt8Array, World
 from dream.types import Label, Observation
+
+AMIDSHIPS = SE3(np.eye(3), np.zeros(3))
+"""Where the DVL sits."""
 
 
 class SimulatedCamera:
@@ -22,13 +27,20 @@ class SimulatedCamera:
 
     What it does: drawn is what is there. Labels are then wrong where they are wrong all mission long; depth
     and labels end where the water's range does; the frame's own noise comes on top, and the mission's errors
-    of scale last. Colours stay as they are drawn.
+    of scale last. Colours stay as they are drawn. Where the protocol is one of sight, a network tells labels
+    and depth instead, from colours, pose and altitude, and nothing else of the world goes in.
 
     Assumes: it is told of every move, since errors are drawn anew with each.
     """
 
     def __init__(
-        self, world: World, protocol: SurveyProtocol, start: SE2, renderer: Renderer | None, fineness: int
+        self,
+        world: World,
+        protocol: SurveyProtocol,
+        start: SE2,
+        renderer: Renderer | None,
+        fineness: int,
+        perception: Perception | None = None,
     ) -> None:
         """In a world.
 
@@ -38,12 +50,15 @@ class SimulatedCamera:
             start: Where the mission began: its errors follow from that.
             renderer: Of this world, where one is made already.
             fineness: Pixels of colour along each side of a pixel of depth and labels.
+            perception: Tells labels and depth under a protocol of sight; the network that comes with DREAM
+                unless given.
         """
         self._world = world
         self._protocol = protocol
         self._start = start
         self._given = renderer
         self._fineness = fineness
+        self._told_by = perception
         self.errors = mission_errors(world, start, protocol.lasting or LastingErrors())
         """What this mission gets wrong from start to end: zeros where the protocol declares nothing."""
 
@@ -51,6 +66,13 @@ class SimulatedCamera:
     def _renderer(self) -> Renderer:
         """Made at the first look: a tour that is only driven needs none."""
         return self._given or Renderer(self._world)
+
+    @cached_property
+    def _perception(self) -> Perception:
+        if self._told_by is not None:
+            return self._told_by.anew
+        sight = Sight()
+        return Perception(sight, sight, Parallax())
 
     @cached_property
     def _missed_as(self) -> UInt8Array:
@@ -70,6 +92,8 @@ class SimulatedCamera:
                 is off from it by the mission's error of tilt.
         """
         T_world_camera = truth @ camera_mount(tilt)
+        if self._protocol.seen is not None:
+            return self._seen(time, moves, truth, believed, tilt, self._protocol.seen)
         frame = self._frame(T_world_camera, moves)
         rgb = frame.rgb
         if self._fineness > 1:
@@ -83,6 +107,30 @@ class SimulatedCamera:
             camera=self._protocol.camera,
             T_world_base=_raised(believed, self.errors.height),
             T_base_camera=camera_mount(tilt + self.errors.tilt),
+        )
+
+    def _seen(
+        self, time: float, moves: int, truth: SE3, believed: SE3, tilt: float, grain: Grain
+    ) -> Observation:
+        """One frame by sight: colours as the camera gives them, and what is made of them."""
+        camera = self._protocol.camera
+        fine = camera.scaled(self._fineness) if self._fineness > 1 else camera
+        drawn = self._renderer.render(fine, truth @ camera_mount(tilt)).rgb
+        rgb = grainy(drawn, grain, noise_generator(self._world, self._start, moves))
+        T_world_base, mount = _raised(believed, self.errors.height), camera_mount(tilt + self.errors.tilt)
+        ranges = Sounder(self._renderer).ranges(truth)
+        above = altitude(ranges) if np.isfinite(ranges).any() else self._protocol.altitude
+        view = View(camera, T_world_base, mount, above, beam_ends(ranges, AMIDSHIPS))
+        shows = self._perception.perceive(rgb, view)
+        return Observation(
+            time=time,
+            rgb=rgb,
+            depth=shows.depth,
+            labels=shows.labels,
+            camera=camera,
+            T_world_base=T_world_base,
+            T_base_camera=mount,
+            confidence=shows.confidence,
         )
 
     def _frame(self, T_world_camera: SE3, moves: int) -> Frame:

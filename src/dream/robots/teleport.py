@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from dream.geometry import SE2, SE3, wrap_angle
+from dream.perception import Perception
 from dream.protocol import SurveyProtocol
 from dream.robots.camera import SimulatedCamera
 from dream.sim.render import Renderer
@@ -40,6 +41,7 @@ class Teleport:
         renderer: Renderer | None = None,
         solids: Solids | None = None,
         fineness: int = 1,
+        perception: Perception | None = None,
     ) -> None:
         """Put the robot into the world, at its first start pose unless told otherwise.
 
@@ -50,6 +52,8 @@ class Teleport:
             renderer: Of this world, where one is made already.
             solids: Of this world, where they are made already.
             fineness: Pixels of colour along each side of a pixel of depth and labels.
+            perception: Tells labels and depth under a protocol of sight; the network that comes with DREAM
+                unless given.
         """
         pose = world.starts[0] if start is None else start
         if not world.bounds.contains(pose.x, pose.y):
@@ -58,7 +62,7 @@ class Teleport:
         self._protocol = protocol
         self._solids = solids or Solids(world)
         self._pose = protocol.snap(pose)
-        self._camera = SimulatedCamera(world, protocol, self._pose, renderer, fineness)
+        self._camera = SimulatedCamera(world, protocol, self._pose, renderer, fineness, perception)
         self._z = launch_height(world, protocol, self._pose) - self._camera.errors.height
         self._tilt = protocol.camera_pitch
         self._moves = 0

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from dream.geometry import SE2, SE3, Camera
-from dream.protocol import SensorNoise
+from dream.protocol import Grain, SensorNoise
 from dream.sim.render import Frame
 from dream.sim.sampling import MILLIMETRE, index, length, normals, poisson, uniform
 from dream.sim.world import BoolArray, Float32Array, Int32Array, UInt8Array, World
@@ -34,6 +34,31 @@ def noise_generator(world: World, start: SE2, step: int) -> np.random.Generator:
     name = repr((world.name, world.seed, place, step))
     words = np.frombuffer(hashlib.sha256(name.encode()).digest(), "<u4")
     return np.random.Generator(np.random.PCG64(np.random.SeedSequence([int(word) for word in words])))
+
+
+def grainy(rgb: UInt8Array, grain: Grain, rng: np.random.Generator) -> UInt8Array:
+    """A picture as the sensor and the camera's JPEG give it.
+
+    Args:
+        rgb: (H, W, 3) sRGB as it is drawn; it is not changed.
+        grain: How much noise.
+        rng: Of this frame.
+    """
+    import io
+
+    from PIL import Image
+
+    coded = np.arange(256) / 255.0
+    linear = np.where(coded <= 0.04045, coded / 12.92, ((coded + 0.055) / 1.055) ** 2.4)[rgb]
+    sigma = np.sqrt(linear / grain.photons + grain.reading**2)
+    light = np.clip(linear + sigma * normals(rng, linear.shape), 0.0, 1.0)
+    coded = np.where(
+        light <= 0.0031308, 12.92 * light, 1.055 * np.maximum(light, 1e-9) ** (1.0 / 2.4) - 0.055
+    )
+    packed = io.BytesIO()
+    Image.fromarray(np.rint(255.0 * coded).astype(np.uint8)).save(packed, "JPEG", quality=grain.quality)
+    with Image.open(packed) as image:
+        return np.array(image)
 
 
 def with_noise(

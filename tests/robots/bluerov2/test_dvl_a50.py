@@ -27,6 +27,7 @@ from dream.robots.bluerov2.dvl_a50 import (
     WaterReport,
     apart,
     measurement,
+    ranges,
     read_line,
 )
 from dream.robots.bluerov2.standin.a50 import A50, DvlFaults
@@ -116,6 +117,23 @@ class TestReading:
         dvl = measurement(report(**changes), 0.0)
         assert dvl.valid is valid
         assert dvl.altitude == pytest.approx(altitude, nan_ok=True)
+
+    def test_beams_are_as_long_as_their_transducers_say_where_they_hear_an_echo(self) -> None:
+        beams = [{"id": k, "distance": 1.0 + 0.1 * k, "beam_valid": k != 2} for k in (3, 1, 2, 0)]
+        np.testing.assert_allclose(ranges(report(transducers=beams)), [1.0, 1.1, np.nan, 1.3])
+
+    @pytest.mark.parametrize(
+        "beams", [None, [], {"id": 0}, [None, 3], [{"id": 7, "distance": 1.0, "beam_valid": True}]]
+    )
+    def test_beams_that_are_none_are_not_known_and_the_velocity_stays(self, beams: object) -> None:
+        read = report(transducers=beams)
+        assert np.isnan(ranges(read)).all()
+        assert measurement(read, 0.0).valid
+
+    @pytest.mark.parametrize("wrong", [0.0, -1.0, "1.0", None, [1.0]])
+    def test_a_distance_that_is_none_is_not_known(self, wrong: object) -> None:
+        beams = [{"id": 0, "distance": wrong, "beam_valid": True}]
+        assert np.isnan(ranges(report(transducers=beams))).all()
 
     @pytest.mark.parametrize("version", ["json_v3", "json_v3.1", "json_v3.12"])
     def test_a_minor_version_and_more_fields_are_fine(self, version: str) -> None:

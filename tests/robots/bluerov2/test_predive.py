@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from dream.commands.dive.predive import _floor, _in_time, _looked, _pointed
-from dream.geometry import SE2, SE3, Camera
-from dream.perception import FlatFloor, LearnedDepth, Perception, Shells
+from dream.geometry import SE2, SE3, Camera, FloatArray
+from dream.perception import FlatFloor, LearnedDepth, Parallax, Perception, Shells, View
 from dream.perception.flat_floor import floor_depth, rays
 from dream.protocol import DREAM_V2, POOL_V1, SurveyProtocol
 from dream.robots.bluerov2.check import Finding
@@ -36,13 +36,14 @@ class Tank:
     rgb: UInt8Array
     fix: Fix | None = field(default_factory=fix_at)
     unseen: bool = False
+    beams: FloatArray | None = None
 
     def looked(self, perception: Perception) -> Finding:
         ready: Any = SimpleNamespace(
             sight=SimpleNamespace(lens=None, perception=perception),
             tank=object(),
             eye=self,
-            devices=SimpleNamespace(camera=self, navigator=self),
+            devices=SimpleNamespace(camera=self, navigator=self, beams=self.beams),
             protocol=POOL_V1,
             start=SE2(0.0, 0.0, 0.0),
             mount=MOUNT,
@@ -64,7 +65,7 @@ class Tank:
 def metric(path: Path, times: float, height: float) -> LearnedDepth:
     """A network that says of every picture what a flat floor so far below looks like, times a factor."""
     level = SE3.level(0.0, 0.0, 0.0, 0.0)
-    floor = floor_depth(rays(CAMERA, height, level, MOUNT), 200.0)
+    floor = floor_depth(rays(View(CAMERA, level, MOUNT, height)), 200.0)
     path.with_suffix(".json").write_text(json.dumps({"output": "metric_depth"}))
     return LearnedDepth(constant(path, times * np.nan_to_num(floor, nan=100.0)))
 
@@ -109,6 +110,25 @@ def test_metres_that_are_three_times_too_far_are_no_go(rgb: UInt8Array, tmp_path
     assert "with a confidence of 0%" not in right.said
 
 
+def test_beams_in_view_are_told(rgb: UInt8Array, tmp_path: Path) -> None:
+    """Two points ahead, where the camera sees the floor."""
+    floor = 0.6 / math.cos(math.radians(22.5))
+    beams = np.array([[1.2, 0.3, -0.6], [1.2, -0.3, -0.6], [-0.2, 0.2, -floor], [-0.2, -0.2, -floor]])
+    for times, against in ((1.0, 0), (3.0, 2)):
+        depth = metric(tmp_path / f"{times}.onnx", times, 0.6)
+        found = Tank(rgb, beams=beams).looked(Perception(Shells(), depth, Parallax()))
+        assert f"; {against} of 2 beams of the DVL in view contradict it" in found.said
+        assert found.ok is (against == 0)
+    assert "beams" not in Tank(rgb, beams=beams).looked(Perception(Shells(), FlatFloor())).said
+
+
+def test_the_list_leaves_nothing_in_the_memory_of_the_check(rgb: UInt8Array) -> None:
+    perception = Perception(Shells(), FlatFloor(), Parallax())
+    Tank(rgb).looked(perception)
+    assert perception.check is not None
+    assert not perception.check._shots
+
+
 def test_labels_that_call_seabed_what_is_above_the_horizon_are_told(rgb: UInt8Array) -> None:
     """A network that knows nothing but shells is well over sand, and sees no wall."""
     found = Tank(rgb).looked(Perception(Says(Label.SEABED), FlatFloor()))
@@ -135,7 +155,7 @@ class Says:
     sure: float = 0.9
     lost: float = 0.0
 
-    def segment(self, rgb: UInt8Array) -> tuple[UInt8Array, Float32Array]:
+    def segment(self, rgb: UInt8Array, view: View | None = None) -> tuple[UInt8Array, Float32Array]:
         labels = np.full(rgb.shape[:2], self.label, np.uint8)
         sure = np.full(labels.shape, self.sure, np.float32)
         rows = round(self.lost * len(labels))
@@ -261,6 +281,10 @@ class Slow:
     def start(self, run: Any, name: str) -> Any:
         run()
         return SimpleNamespace(join=lambda seconds: None)
+
+    @property
+    def anew(self) -> Any:
+        return self
 
     def perceive(self, *arguments: Any) -> None:
         self.time += self.picture

@@ -10,7 +10,7 @@ import pytest
 
 from dream.errors import MissionAborted
 from dream.geometry import SE2, SE3, Camera
-from dream.perception import FlatFloor, Perception, Shells
+from dream.perception import FlatFloor, Perceived, Perception, Shells, View
 from dream.protocol import DREAM_V2_TRUE, POOL_V1
 from dream.robots.bluerov2 import rov
 from dream.robots.bluerov2.bridge import FINE, Stance, Standing
@@ -102,14 +102,12 @@ class Scene:
         seen[:, :10] = False
         return np.zeros((camera.height, camera.width, 3), np.uint8), seen
 
-    def segment(self, rgb: UInt8Array) -> tuple[UInt8Array, Float32Array]:
+    def segment(self, rgb: UInt8Array, view: View | None = None) -> tuple[UInt8Array, Float32Array]:
         shape = rgb.shape[:2]
         return np.full(shape, Label.SEABED, np.uint8), np.full(shape, self.sure, np.float32)
 
-    def estimate(
-        self, rgb: UInt8Array, labels: UInt8Array, camera: Camera, altitude: float, *_: object
-    ) -> tuple[Float32Array, Float32Array]:
-        assert altitude == pytest.approx(0.6)
+    def estimate(self, rgb: UInt8Array, labels: UInt8Array, view: View) -> tuple[Float32Array, Float32Array]:
+        assert view.altitude == pytest.approx(0.6)
         return np.full(labels.shape, self.depth, np.float32), np.ones(labels.shape, np.float32)
 
 
@@ -127,6 +125,20 @@ def test_it_arrives_and_looks_after_that(monkeypatch: pytest.MonkeyPatch) -> Non
     # What the lens did not see is no depth.
     assert np.isnan(observation.depth[:, :10]).all()
     assert np.isfinite(observation.depth[:, 10:]).all()
+
+
+def test_beams_of_the_dvl_go_with_the_picture(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene, beams, views = Scene(), np.ones((4, 3)), []
+
+    class Seeing(Perception):
+        def perceive(self, rgb: UInt8Array, view: View, seen: BoolArray | None = None) -> Perceived:
+            views.append(view)
+            return super().perceive(rgb, view, seen)
+
+    monkeypatch.setattr("tests.robots.bluerov2.test_rov.Perception", Seeing)
+    scene.robot(monkeypatch, beams=lambda: beams).observe()
+    scene.robot(monkeypatch).observe()
+    assert [view.beams for view in views] == [beams, None]
 
 
 def test_how_sure_it_is_goes_with_what_it_saw(monkeypatch: pytest.MonkeyPatch) -> None:

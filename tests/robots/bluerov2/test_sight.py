@@ -12,7 +12,7 @@ import pytest
 
 from dream.errors import MissionAborted
 from dream.geometry import SE2, SE3
-from dream.perception import Perception
+from dream.perception import Perception, View
 from dream.protocol import POOL_V1
 from dream.robots.bluerov2.camera import Frames, LiveCamera
 from dream.robots.bluerov2.devices import LiveEye
@@ -304,7 +304,7 @@ class Aboard:
     def at(self, time: float) -> SE3:
         return SE3.level(0.0, 0.0, -0.9, 0.0)
 
-    def segment(self, rgb: UInt8Array) -> tuple[UInt8Array, Float32Array]:
+    def segment(self, rgb: UInt8Array, view: View | None = None) -> tuple[UInt8Array, Float32Array]:
         return np.full(rgb.shape[:2], Label.SEABED, np.uint8), np.ones(rgb.shape[:2], np.float32)
 
     def estimate(self, rgb: UInt8Array, labels: UInt8Array, *_: object) -> tuple[Float32Array, Float32Array]:

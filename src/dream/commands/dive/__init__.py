@@ -71,9 +71,8 @@ class Dive:
     planner: ChosenPlanner = PLANNERS["belief"]
     """Who decides."""
     vehicle: First[Annotated[str, tyro.conf.arg(metavar="ADDRESS")]] = "udpin:0.0.0.0:14550"
-    """MAVLink. udpin:HOST:PORT listens there (BlueOS sends to port 14550); udpout:HOST:PORT and tcp:HOST:PORT
-    connect."""
-    dvl: First[Annotated[str, tyro.conf.arg(metavar="HOST[:PORT]")]] = "192.168.2.95"
+    """MAVLink: udpin:HOST:PORT listens, as BlueOS wants it; udpout: and tcp: connect."""
+    dvl: Annotated[str, tyro.conf.arg(metavar="HOST[:PORT]")] = "192.168.2.95"
     """Address of the DVL A50."""
     speed_of_sound: float | None = None
     """Speed of sound in this water, m/s. The A50 is set to it, and keeps it. Unless given, the A50 stays
@@ -95,11 +94,13 @@ class Dive:
     """Where the camera's lens sits: metres forward, left and up of the autopilot."""
     lights: float | None = None
     """Brightness of the lights, 0 to 1. Unless given, they stay as they are."""
+    see: First[Annotated[str | None, tyro.conf.arg(metavar="HOW")]] = None
+    """How pictures become labels and depth: `learned`; `shells`, as in a tank; or a network's FILE.onnx."""
     labels: Path | None = None
-    """ONNX file of a network that labels pictures. Without one, light shells on a dark floor are found."""
+    """ONNX file of a network that labels pictures, such as one of `dream teach`; what it knows nothing of is
+    labelled by --see."""
     depth: Path | None = None
-    """ONNX file of a network that estimates depth. Without one, the floor is taken for flat, as far below as
-    the DVL says."""
+    """ONNX file of a network that estimates depth, in the place of that of --see."""
     area: First[Annotated[tuple[float, float, float, float] | None, tyro.conf.arg(metavar="X Y X Y")]] = None
     """Area to survey: least x and y, largest x and y, metres in the map. Not needed with --stand-in."""
     at: First[Annotated[tuple[float, float, float], tyro.conf.arg(metavar="X Y DEGREES")]] = (0.0, 0.0, 0.0)

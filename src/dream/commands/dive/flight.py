@@ -214,6 +214,7 @@ class Flight:
             holds=lambda: operator.will is Will.HOLD,
             truth=None if ready.tank is None else ready.tank.truth,
             threads=ready.devices.threads,
+            beams=lambda: ready.devices.beams,
         )
 
     def _willed(self, bridge: Bridge, home: WayHome, will: Will) -> None:

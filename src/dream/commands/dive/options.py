@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from dream.geometry import SE2, Bounds
 from dream.planning import PLANNERS
-from dream.protocol import protocol_named
+from dream.protocol import POOL_V1, protocol_named
 
 if TYPE_CHECKING:
     from dream.commands.dive import Dive
@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from dream.robots.bluerov2.lens import Lens
     from dream.robots.bluerov2.limits import Limits
 
+LEARNED, SHELLS = "learned", "shells"
+"""Words for how pictures become labels and depth."""
 SLOWEST_SOUND, FASTEST_SOUND = 1400.0, 1600.0
 """m/s. Fresh water of 0 °C has 1402 (Del Grosso and Mader 1972), sea water of 30 °C 1545 (Mackenzie 1981)."""
 
@@ -38,16 +40,32 @@ def sight_told(told: Dive) -> Sight:
     Raises:
         ValueError: One is not what it should be.
     """
-    from dream.perception import FlatFloor, LearnedDepth, LearnedLabels, Perception, Shells
+    from dream import perception
+    from dream.perception import LearnedDepth, LearnedLabels, Perception
     from dream.robots.bluerov2.lens import Lens
 
-    return Sight(
-        None if told.calibration is None else Lens.read(told.calibration),
-        Perception(
-            Shells() if told.labels is None else LearnedLabels(told.labels),
-            FlatFloor() if told.depth is None else LearnedDepth(told.depth),
-        ),
-    )
+    lens = None if told.calibration is None else Lens.read(told.calibration)
+    labels: perception.Segmenter
+    depth: perception.DepthModel
+    if flat(told):
+        labels, depth = perception.Shells(), perception.FlatFloor()
+    else:
+        labels = depth = perception.Sight(None if told.see in (None, LEARNED) else told.see)
+    if told.labels is not None:
+        labels = LearnedLabels(told.labels, under=labels)
+    if told.depth is not None:
+        depth = LearnedDepth(told.depth)
+    check = None if isinstance(depth, perception.FlatFloor) else perception.Parallax()
+    return Sight(lens, Perception(labels, depth, check))
+
+
+def flat(told: Dive) -> bool:
+    """Whether shells are found by their colour, on a floor that is taken for flat.
+
+    By the rules of a tank they are, and in a simulated one; elsewhere only where somebody says so.
+    """
+    tank = told.stand_in or told.protocol == POOL_V1.name
+    return told.see == SHELLS or (told.see is None and tank)
 
 
 def check_options(told: Dive) -> None:
@@ -83,10 +101,10 @@ def check_options(told: Dive) -> None:
             f"--min-altitude: expected less than the {swims:g} m of the A50 above the floor under "
             f"{told.protocol}, got {told.min_altitude:g}"
         )
-    if protocol.space is not None and told.depth is None and not told.stand_in:
+    if protocol.space is not None and told.depth is None and flat(told) and not told.stand_in:
         raise ValueError(
-            f"--depth: expected a network that estimates depth under {protocol.name}, got none: where the "
-            "floor is taken for flat, what stands on it is not in the map, and the vehicle would run into it"
+            f"--see: expected learned, or a network with --depth, under {protocol.name}, got shells: where "
+            "the floor is taken for flat, what stands on it is not in the map, and the vehicle runs into it"
         )
     if told.lights is not None and not 0.0 <= told.lights <= 1.0:
         raise ValueError(f"--lights: expected a share from 0 to 1, got {told.lights:g}")

@@ -11,6 +11,7 @@ import numpy as np
 
 from dream.commands.console import print_json
 from dream.geometry import SE3
+from dream.perception import View
 from dream.types import Label
 
 if TYPE_CHECKING:
@@ -90,7 +91,7 @@ def _looked(ready: Ready) -> Finding:
     if ready.sight.lens is None and ready.tank is None:
         return Finding("pictures", ok=False, said="no --calibration was given", wanted=wanted)
     try:
-        eye, perception = ready.eye, ready.sight.perception
+        eye, perception = ready.eye, ready.sight.perception.anew
         picture = ready.devices.camera.newest(FIRST_FRAME)
         began, camera = time.perf_counter(), ready.protocol.camera
         try:
@@ -101,7 +102,8 @@ def _looked(ready: Ready) -> Finding:
                 fitting = "no --calibration: the camera of the stand-in has no lens to correct"
             return Finding("pictures", ok=False, said=str(error), wanted=fitting)
         T_world_base, altitude = _lies(ready)
-        account = perception.perceive(rgb, camera, T_world_base, ready.mount, altitude, seen).account
+        view = View(camera, T_world_base, ready.mount, altitude, ready.devices.beams)
+        account = perception.perceive(rgb, view, seen).account
     except (OSError, ValueError, RuntimeError) as error:
         return Finding("pictures", ok=False, said=str(error), wanted=wanted)
     ms = 1e3 * (time.perf_counter() - began)
@@ -112,6 +114,8 @@ def _looked(ready: Ready) -> Finding:
     )
     if math.isfinite(account.beside_floor):
         said += f"; depth {account.beside_floor:.2f} times the floor's, {account.agreement:.0%} of it agrees"
+    if account.points:
+        said += f"; {account.against} of {account.points} beams of the DVL in view contradict it"
     if account.floating > FLOATING:
         said += f"; {account.floating:.0%} of what is above the horizon is seabed: do the labels know walls?"
     if account.lost:
@@ -170,12 +174,14 @@ def _in_time(ready: Ready) -> Finding:
     try:
         devices.navigator.update()
         picture, camera = devices.camera.newest(FIRST_FRAME), ready.protocol.camera
+        perception = ready.sight.perception.anew
         level = SE3.level(ready.start.x, ready.start.y, 0.0, ready.start.yaw)
         beating = threads.start(beat, "beats")
         for _ in range(LOOKS):
             began = devices.now()
             rgb, _ = ready.eye.view(picture, camera)
-            ready.sight.perception.perceive(rgb, camera, level, ready.mount, ready.protocol.altitude)
+            view = View(camera, level, ready.mount, ready.protocol.altitude)
+            perception.perceive(rgb, view)
             slowest = max(slowest, devices.now() - began)
             devices.link.operator_alive()
             threads.sleep(0.1)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -108,6 +109,8 @@ def _perception(accounts: Sequence[Account]) -> dict[str, Any]:
         "frames": len(accounts),
         "confidence": round(float(np.mean([one.confidence for one in accounts])), 3) if accounts else None,
         "frames_doubted": sum(bool(one.doubt) for one in accounts),
+        "frames_checked": sum(one.points > 0 for one in accounts),
+        "frames_scaled": sum(math.isfinite(one.scale) for one in accounts),
         "frames_without_depth": sum(one.confidence == 0.0 for one in accounts),
         "pixels_without_label": sum(one.lost for one in accounts),
         "pixels_without_depth": sum(one.no_depth for one in accounts),

@@ -56,7 +56,7 @@ class UivNav:
     walk_seed: First[int] = 0
     """Seed of the draws: any number makes another flight."""
     weights: First[str | None] = None
-    """ONNX file of another network, such as one of `dream train`. Unless given, the one of the package."""
+    """ONNX file of another network, such as one of `dream train uivnav`. Unless given, the shipped one."""
 
     def __post_init__(self) -> None:
         check_range("temperature", self.temperature, 0.0, 10.0)

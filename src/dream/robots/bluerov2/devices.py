@@ -13,8 +13,9 @@ from typing import Any, Self
 
 import numpy as np
 
-from dream.geometry import SE2, Camera
+from dream.geometry import SE2, Camera, FloatArray
 from dream.measurements import Imu, Measurement
+from dream.perception import beam_ends
 from dream.robots.bluerov2.camera import (
     LiveCamera,
     RtpVideo,
@@ -38,6 +39,8 @@ from dream.robots.bluerov2.threads import REAL_TIME, Threads
 from dream.robots.bluerov2.wire import Pipe
 from dream.types import BoolArray, UInt8Array
 
+EVEN = 1.1
+"""How many times as long as the shortest of the DVL's beams the others may be on even ground."""
 PARAMETERS_BEFORE = "parameters-before.json"
 """In the folder of the run: what the vehicle had before DREAM changed it."""
 DENSITY = {"fresh": FRESH, "sea": SEA}
@@ -149,7 +152,7 @@ class Devices:
         host, port = dvl_at(addresses.dvl) if isinstance(addresses.dvl, str) else ("aboard", PORT)
         with ExitStack() as stack:
             self.log = stack.enter_context(DiveLog(folder, epoch_ns=epoch_ns))
-            mounting = instruments.mounting
+            mounting = self._mounting = instruments.mounting
             seats = {
                 "dvl": np.asarray(mounting.T_base_dvl.translation).tolist(),
                 "gauge": list(mounting.pressure_sensor),
@@ -299,6 +302,17 @@ class Devices:
             sound,
             zeroed_here=zeroed_here,
         )
+
+    @property
+    def beams(self) -> FloatArray | None:
+        """(4, 3) metres in `base`: where the DVL's beams ended just now; None where that is not known.
+
+        Which of them looks where its reports do not tell: they have to agree, as on even ground.
+        """
+        ranges = self.dvl.ranges
+        if ranges is None or not float(ranges.max()) <= EVEN * float(ranges.min()):
+            return None
+        return beam_ends(ranges, self._mounting.T_base_dvl)
 
     def _heard_of(self, time: float, channel: str, sent: bool, message: Any) -> None:
         self.log.tap(time, channel, sent, message)

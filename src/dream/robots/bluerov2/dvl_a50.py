@@ -51,6 +51,8 @@ PAUSES = (0.25, 5.0)
 FIRMWARE = "2.2.1"
 """Oldest that will do (changelog of waterlinked/docs, docs/dvl). Up to 2.0.8 it speaks json_v2 or what was
 before; 2.1.0 speaks json_v3, but does not end its answers with a new line."""
+ECHO_LASTS = 0.5
+"""Seconds for which the echo of a beam is that of what lies there."""
 SLOWEST = 2.0
 """Seconds from validity to transmission that are believed; about 0.2 in the documentation's example."""
 
@@ -161,6 +163,8 @@ class VelocityReport(_Heard):
     velocity_valid: bool
     tracking_mode: str = "bottom"
     """Since json_v3.2; in `water` there is nothing about the ground."""
+    transducers: Any = None
+    """Each with `id`, `distance` in metres and `beam_valid`: see `ranges`."""
     status: int = Field(ge=0)
     """Bit 0: so hot that it is about to shut down."""
     time_of_validity: _Microseconds
@@ -275,6 +279,18 @@ def measurement(report: VelocityReport, time: float) -> Dvl:
     )
 
 
+def ranges(report: VelocityReport) -> Float64Array:
+    """(4,) metres along the beams of transducers 0 to 3; NaN where one has no echo, or says nothing of it."""
+    found = np.full(4, math.nan)
+    for one in report.transducers if isinstance(report.transducers, list) else []:
+        if not (isinstance(one, dict) and one.get("beam_valid") is True):
+            continue
+        number, distance = one.get("id"), one.get("distance")
+        if number in range(4) and isinstance(distance, int | float) and 0.0 < distance < math.inf:
+            found[number] = distance
+    return found
+
+
 def _floored(covariance: Float64Array) -> Float64Array:
     """Symmetric, and in no direction below the floor: a sick matrix gives a usable one."""
     variances, axes = np.linalg.eigh(0.5 * (covariance + covariance.T))
@@ -373,6 +389,8 @@ class DvlA50:
         self._last_stamp = -1
         self._last_time = -math.inf
         self._refused: Counter[str] = Counter()
+        self._echoes: tuple[float, Float64Array] | None = None
+        """When a velocity came last, and its `ranges`."""
         self._own = 0
         """Which thread is that of the link."""
         self._thread = threads.start(self._run, f"a50 {host}:{port}")
@@ -401,6 +419,15 @@ class DvlA50:
     def age(self) -> float:
         """Seconds since a measurement was delivered, with bottom lock or without; inf where none was."""
         return math.inf if math.isnan(self._delivered) else self._now() - self._delivered
+
+    @property
+    def ranges(self) -> Float64Array | None:
+        """(4,) metres along the beams of transducers 0 to 3, NaN without echo; None where none is new.
+
+        Its documents number them in a drawing only: which is which is not known here.
+        """
+        echoes = self._echoes
+        return None if echoes is None or self._now() - echoes[0] > ECHO_LASTS else echoes[1]
 
     @property
     def hot(self) -> bool:
@@ -680,7 +707,7 @@ class DvlA50:
         except Exception as error:
             logger.exception("a velocity of the DVL could not be delivered")
             raise BadLine("could not be delivered") from error
-        self._delivered = arrived
+        self._delivered, self._echoes = arrived, (arrived, ranges(report))
 
     def _take_response(self, response: Response) -> None:
         with self._answering:

@@ -10,8 +10,8 @@ from typing import Protocol
 import numpy as np
 
 from dream.errors import MissionAborted
-from dream.geometry import SE2, SE3, Camera, camera_mount, wrap_angle
-from dream.perception import Account, Perception
+from dream.geometry import SE2, SE3, Camera, FloatArray, camera_mount, wrap_angle
+from dream.perception import Account, Perception, View
 from dream.protocol import SurveyProtocol
 from dream.robots.bluerov2.bridge import Bridge, Stance
 from dream.robots.bluerov2.navigation import Fix, Navigator
@@ -116,6 +116,7 @@ class BlueRov2:
         waits: Callable[[], bool] = lambda: False,
         holds: Callable[[], bool] = lambda: False,
         truth: Callable[[], tuple[SE3, int]] | None = None,
+        beams: Callable[[], FloatArray | None] = lambda: None,
         threads: Threads = REAL_TIME,
     ) -> None:
         """On its bridge.
@@ -135,6 +136,7 @@ class BlueRov2:
             waits: Does the operator want no further move?
             holds: Does the operator want it to stay where it is, now?
             truth: Where the vehicle really is, and how often it has run into something, of a stand-in.
+            beams: (n, 3) metres in `base`, where the DVL's beams end now; None where that is not known.
             threads: What it waits by.
         """
         self._bridge, self._navigator, self._eye = bridge, navigator, eye
@@ -145,7 +147,7 @@ class BlueRov2:
         self._fineness = fineness
         self._manners = manners or Manners()
         self._waits, self._holds = waits, holds
-        self._truth = truth
+        self._truth, self._beams = truth, beams
         self._contacts = truth()[1] if truth is not None else 0
         self._arrived = now()
         self.picture_ages: list[float] = []
@@ -178,7 +180,8 @@ class BlueRov2:
         altitude = float(T_world_base.translation[2]) - self._bridge.fix.seabed
         if not math.isfinite(altitude):
             altitude = self._protocol.altitude
-        shows = self._perception.perceive(rgb, camera, T_world_base, self._T_base_camera, altitude, seen)
+        view = View(camera, T_world_base, self._T_base_camera, altitude, self._beams())
+        shows = self._perception.perceive(rgb, view, seen)
         self.accounts.append(shows.account)
         shown = rgb if fine is camera else self._eye.view(picture, fine)[0]
         self._bridge.renew(self._manners.thinking)

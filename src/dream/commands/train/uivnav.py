@@ -1,28 +1,25 @@
-"""`dream train`: a network that steers by sight, learned from a teacher in simulated reefs."""
+"""`dream train uivnav`: a network that steers by sight, learned from a teacher in simulated reefs."""
 
 from __future__ import annotations
 
 import contextlib
 import json
 import sys
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from dream.commands.console import check_writable, print_json
-from dream.commands.progress import Stage, stage
+from dream.commands.progress import stage
+from dream.commands.train.parts import shown
 from dream.errors import MissionAborted
 from dream.options import First
 from dream.protocol import DREAM_V1
 from dream.telling import rich_console
 
-if TYPE_CHECKING:
-    from dream.learning.curriculum import Progress
-
 
 @dataclass(frozen=True, slots=True)
-class Train:
+class TrainUivnav:
     """Teach a network to steer by sight, as the planner uivnav does: no map, no position, no memory.
 
     A teacher who sees only the present picture flies simulated reefs. To each picture it says how likely it
@@ -35,8 +32,8 @@ class Train:
     never learns from a world of a suite. After an interruption the same command goes on.
 
     Examples:
-        dream train
-        dream train --missions 9 --rounds 0 --epochs 1 --out try
+        dream train uivnav
+        dream train uivnav --missions 9 --rounds 0 --epochs 1 --out try
     """
 
     out: First[Path] = Path("train")
@@ -86,7 +83,7 @@ class Train:
             lerobot.check_possible(self.lerobot)
         try:
             with contextlib.closing(learn(curriculum, self.out, engine, self.device)) as work:
-                for _ in _shown(work):
+                for _ in shown(work):
                     pass
         except KeyboardInterrupt:
             raise MissionAborted(
@@ -106,19 +103,6 @@ class Train:
         else:
             _print(card, self.out / MODEL)
         return 0
-
-
-def _shown(work: Iterator[Progress]) -> Iterator[Progress]:
-    """Pass the work on, and tell of each part of it."""
-    with contextlib.ExitStack() as stack:
-        at: Stage | None = None
-        for now in work:
-            if at is None or at.title != now.part:
-                stack.close()
-                at = stack.enter_context(stage(now.part, now.total))
-                at.spared = now.done
-            at.done, at.said = now.done, now.said
-            yield now
 
 
 def _print(card: dict[str, Any], model: Path) -> None:

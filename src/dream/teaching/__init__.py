@@ -1,0 +1,1 @@
+"""Pictures, and a few marks on them → a network that labels a target."""
