@@ -31,8 +31,8 @@ from rich.table import Table
 from scipy import ndimage
 
 from dream.teaching.backbone import TEXTURE, open_backbone
-from dream.teaching.fit import Example, Lesson, lacking
-from dream.teaching.marks import OTHER, TARGET, Stroke
+from dream.teaching.fit import Example, HeadLesson, lacking
+from dream.teaching.marks import OTHER, TARGET, MarkStroke
 from dream.teaching.model import Extractor
 from dream.teaching.pictures import Picture
 from dream.types import BoolArray, Float32Array, UInt8Array
@@ -142,7 +142,7 @@ def marked(scene: Scene, kind: int, rng: np.random.Generator) -> UInt8Array:
             line = stroke_in(scene.kinds == each, rng)
             if line:
                 mark: Literal["target", "other"] = "target" if target else "other"
-                stroke = Stroke(picture=0, tool="brush", mark=mark, width=WIDTH, points=line)
+                stroke = MarkStroke(picture=0, tool="brush", mark=mark, width=WIDTH, points=line)
                 marks = stroke.drawn(marks)
     # A careful person stays within the lines.
     marks[(marks == TARGET) & (scene.kinds != kind)] = 0
@@ -182,7 +182,7 @@ def evaluated(
             if lacking(examples):
                 break
             channels = 0 if name == "colour" else extractors[name].backbone.channels
-            taught = Lesson(examples, channels).measured(extractors[name])
+            taught = HeadLesson(examples, channels).measured(extractors[name])
             assert taught is not None
             seconds = max(seconds, time.perf_counter() - began)
             told[name] = {}

@@ -18,7 +18,7 @@ from dream.learning.sight.export import as_onnx  # noqa: E402
 from dream.learning.sight.making import Making, make  # noqa: E402
 from dream.learning.sight.network import COARSE, Shape  # noqa: E402
 from dream.learning.sight.pictures import PICTURE, Album, draw, opened  # noqa: E402
-from dream.learning.sight.training import Training, fit, losses, marks, planes  # noqa: E402
+from dream.learning.sight.training import SightTraining, fit, losses, marks, planes  # noqa: E402
 from dream.learning.sight.waters import lesson  # noqa: E402
 from dream.perception import Sight, View  # noqa: E402
 from dream.perception.sight import DEPTH, GRID, HEIGHT, LABELS, WIDTH  # noqa: E402
@@ -61,9 +61,9 @@ def test_an_album_is_the_same_again_and_of_what_a_vehicle_sees(album: Path, tmp_
 
 
 def test_a_damaged_album_is_named(album: Path, tmp_path: Path) -> None:
-    path = tmp_path / "cut.npy"
+    path = tmp_path / "cut.pictures"
     path.write_bytes(album.read_bytes()[:1000])
-    with pytest.raises(ValueError, match=r"cut\.npy: expected pictures"):
+    with pytest.raises(ValueError, match=r"cut\.pictures: expected pictures"):
         opened(path)
 
 
@@ -111,9 +111,9 @@ def test_where_neither_pose_nor_altitude_is_known_nothing_is_told(pictures: Any)
 
 
 def test_it_learns_what_is_plain_and_says_how_sure_it_is(tmp_path: Path) -> None:
-    path = tmp_path / "floor.npy"
-    np.save(path, np.concatenate([plain(depth, 4) for depth in (0.7, 1.0, 1.4)]))
-    network, training = SMALL.build(0), Training(batches=60, batch=4, warmup=5, rate=5e-3)
+    path = tmp_path / "floor.pictures"
+    path.write_bytes(np.concatenate([plain(depth, 4) for depth in (0.7, 1.0, 1.4)]).tobytes())
+    network, training = SMALL.build(0), SightTraining(batches=60, batch=4, warmup=5, rate=5e-3)
     told = list(fit(network, [path], training, kept=tmp_path / "state.pt"))
     assert told[-1].labels < 0.5 * told[0].labels
     assert told[-1].depth < 0.1
@@ -123,7 +123,7 @@ def test_it_learns_what_is_plain_and_says_how_sure_it_is(tmp_path: Path) -> None
 
 
 def test_it_goes_on_where_it_was_broken_off(album: Path, tmp_path: Path) -> None:
-    training = Training(batches=4, batch=2, warmup=2)
+    training = SightTraining(batches=4, batch=2, warmup=2)
     once, twice = SMALL.build(0), SMALL.build(0)
     list(fit(once, [album], training, kept=tmp_path / "once.pt"))
     from dream.learning.sight import training as module
@@ -143,7 +143,7 @@ def test_it_goes_on_where_it_was_broken_off(album: Path, tmp_path: Path) -> None
 def test_a_foreign_state_is_named(album: Path, tmp_path: Path) -> None:
     (tmp_path / "state.pt").write_bytes(b"nothing")
     with pytest.raises(ValueError, match=r"state\.pt: expected the state"):
-        list(fit(SMALL.build(0), [album], Training(batches=2, batch=2), kept=tmp_path / "state.pt"))
+        list(fit(SMALL.build(0), [album], SightTraining(batches=2, batch=2), kept=tmp_path / "state.pt"))
 
 
 def test_its_file_answers_as_it_does(pictures: Any, tmp_path: Path) -> None:
@@ -175,14 +175,14 @@ def test_what_it_expects_to_be_off_by_is_learned(pictures: Any) -> None:
             labels = {LABELS: torch.zeros(len(picture), 4, HEIGHT, WIDTH)}
             return {**labels, COARSE: torch.zeros(len(picture), 4, *GRID), DEPTH: depth}
 
-    _, _, off = losses(Told(0.0), given, Training())
+    _, _, off = losses(Told(0.0), given, SightTraining())
     widths = np.log(off) + np.array([-0.5, 0.0, 0.5])
-    narrow, right, wide = (float(losses(Told(float(width)), given, Training())[0]) for width in widths)
+    narrow, right, wide = (float(losses(Told(float(width)), given, SightTraining())[0]) for width in widths)
     assert right < min(narrow, wide)
 
 
 def test_all_of_it_leaves_a_network_and_its_card_and_goes_on(tmp_path: Path) -> None:
-    small = Making(1, worlds=1, views=4, shape=SMALL, training=Training(batches=2, batch=2))
+    small = Making(1, worlds=1, views=4, shape=SMALL, training=SightTraining(batches=2, batch=2))
     parts = {step.part for step in make(small, tmp_path, Processes(1), "cpu")}
     assert parts == {"albums of pictures", "batches", "network and card"}
     before = (tmp_path / whole.MODEL).read_bytes()

@@ -14,7 +14,7 @@ import pytest
 from dream.geometry import SE3, FloatArray, camera_mount
 from dream.perception import LearnedDepth, Parallax, Perceived, Perception, View, beam_ends
 from dream.perception.parallax import _kernels
-from dream.perception.parallax.matching import Points, PoseNoise, Shot, corners, depths
+from dream.perception.parallax.matching import MotionPoints, PoseNoise, Shot, corners, depths
 from dream.protocol import DREAM_V2
 from dream.sim.render import Renderer
 from dream.sim.sounding import Sounder, altitude
@@ -34,12 +34,12 @@ def shot(seen: Seen, T_world_base: SE3 | None = None) -> Shot:
     return Shot.of(seen.rgb, CAMERA, view.T_world_camera)
 
 
-def found(then: Shot, now: Shot, noise: PoseNoise | None = None) -> Points:
+def found(then: Shot, now: Shot, noise: PoseNoise | None = None) -> MotionPoints:
     up = now.T_world_camera.rotation[2]
     return depths(now, then, corners(now, ALL), up, noise or PoseNoise())
 
 
-def errors(points: Points, truth: Float32Array) -> FloatArray:
+def errors(points: MotionPoints, truth: Float32Array) -> FloatArray:
     """(n,) of the logarithms."""
     there = truth[points.places[:, 1].astype(int), points.places[:, 0].astype(int)]
     return np.asarray(np.log(points.depth / there))
@@ -73,7 +73,7 @@ def perceived(network: Answers, frames: Sequence[Seen]) -> list[Perceived]:
     return shows
 
 
-# Points.
+# MotionPoints.
 
 
 def test_points_of_floor_and_wall_are_as_deep_as_they_are() -> None:

@@ -20,13 +20,13 @@ WAIT_S = 60.0
 
 
 @dataclass
-class Taught:
+class TaughtHead:
     session: Session
     port: int
 
 
 @contextlib.contextmanager
-def taught(folder: Path, count: int = 5) -> Iterator[Taught]:
+def taught(folder: Path, count: int = 5) -> Iterator[TaughtHead]:
     """A session on pictures of disks, and its page; texture alone."""
     for n in range(count):
         save_picture(folder / f"photos/p{n}.jpg", scene(n, (360, 480))[0])
@@ -38,7 +38,7 @@ def taught(folder: Path, count: int = 5) -> Iterator[Taught]:
     )
     thread.start()
     try:
-        yield Taught(session, port)
+        yield TaughtHead(session, port)
     finally:
         over.set()
         thread.join(WAIT_S)

@@ -9,10 +9,10 @@ from scipy import stats
 from dream.teaching.fit import (
     CHOICES,
     MOST_CELLS,
-    Choice,
     Example,
+    HeadChoice,
+    HeadLesson,
     Held,
-    Lesson,
     balanced,
     lacking,
     logistic,
@@ -77,12 +77,12 @@ def test_it_says_what_is_lacking(extractor: Extractor) -> None:
     assert lacking([Example.of("1", extractor.cells(rgb), target)]) == "mark some other"
     assert lacking(examples(extractor, [1])) == ""
     with pytest.raises(ValueError, match="mark some target"):
-        Lesson([], 0)
+        HeadLesson([], 0)
 
 
 @pytest.mark.parametrize("count", [1, 2])
 def test_with_few_pictures_no_figure_is_given(extractor: Extractor, count: int) -> None:
-    found = Lesson(examples(extractor, list(range(count))), 0).measured(extractor)
+    found = HeadLesson(examples(extractor, list(range(count))), 0).measured(extractor)
     assert found is not None
     assert found.quality.iou is None
     assert found.quality.held == ()
@@ -90,7 +90,7 @@ def test_with_few_pictures_no_figure_is_given(extractor: Extractor, count: int) 
 
 
 def test_pictures_that_were_left_out_are_told_and_measured(extractor: Extractor) -> None:
-    found = Lesson(examples(extractor, list(range(5))), 0).measured(extractor)
+    found = HeadLesson(examples(extractor, list(range(5))), 0).measured(extractor)
     assert found is not None
     quality = found.quality
     assert quality.why == ""
@@ -106,7 +106,7 @@ def test_a_picture_has_no_part_in_how_it_is_told(extractor: Extractor) -> None:
     # One in which everything is marked the wrong way round.
     wrong = examples(extractor, [7])[0]
     flipped = Example.of("7", wrong.grid, np.array([0, OTHER, TARGET], np.uint8)[wrong.marks])
-    found = Lesson([*examples(extractor, [0, 1, 2, 3]), flipped], 0).measured(extractor)
+    found = HeadLesson([*examples(extractor, [0, 1, 2, 3]), flipped], 0).measured(extractor)
     assert found is not None
     held = {one.name: one for one in found.quality.held}
     assert held["7"].iou is not None
@@ -117,7 +117,7 @@ def test_a_picture_has_no_part_in_how_it_is_told(extractor: Extractor) -> None:
 def test_a_picture_without_target_says_how_much_was_wrong_alone(extractor: Extractor) -> None:
     rgb, inside = scene(6)
     plain = Example.of("6", extractor.cells(rgb), np.where(inside, 0, OTHER).astype(np.uint8))
-    found = Lesson([*examples(extractor, [0, 1, 2]), plain], 0).measured(extractor)
+    found = HeadLesson([*examples(extractor, [0, 1, 2]), plain], 0).measured(extractor)
     assert found is not None
     held = {one.name: one for one in found.quality.held}
     assert held["6"].iou is None
@@ -135,7 +135,7 @@ def test_the_interval_is_that_of_student() -> None:
 
 
 def test_it_stops_when_it_is_told_to(extractor: Extractor) -> None:
-    assert Lesson(examples(extractor, [0, 1, 2]), 0).measured(extractor, lambda: True) is None
+    assert HeadLesson(examples(extractor, [0, 1, 2]), 0).measured(extractor, lambda: True) is None
 
 
 @pytest.mark.slow
@@ -146,12 +146,12 @@ def test_features_that_say_nothing_are_not_looked_at(extractor: Extractor) -> No
         # Of each picture its own: they tell it apart, and nothing in another.
         noise = rng.normal(size=(132, *one.grid.shape[1:])) + rng.normal(size=(132, 1, 1)) * 5.0
         told.append(Example.of(one.name, np.concatenate([noise, one.grid]).astype(np.float32), one.marks))
-    lesson = Lesson(told, 132)
+    lesson = HeadLesson(told, 132)
     found = lesson.measured(extractor)
     assert found is not None
     assert found.choice.plain
     assert not found.head.weights[:132].any()
-    seen = lesson.head(lesson.fit(Choice(0.1, False)))
+    seen = lesson.head(lesson.fit(HeadChoice(0.1, False)))
     row = told[0].rows[0].astype(np.float64)
-    logit = lesson.logits(lesson.fit(Choice(0.1, False)), 0)[0]
+    logit = lesson.logits(lesson.fit(HeadChoice(0.1, False)), 0)[0]
     assert seen.weights @ row + seen.bias == pytest.approx(logit, abs=1e-6)

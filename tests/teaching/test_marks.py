@@ -12,14 +12,23 @@ from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
 
-from dream.teaching.marks import OTHER, TARGET, UNMARKED, Sheet, Stroke, marked_in, read_marks, write_marks
+from dream.teaching.marks import (
+    OTHER,
+    TARGET,
+    UNMARKED,
+    MarkSheet,
+    MarkStroke,
+    marked_in,
+    read_marks,
+    write_marks,
+)
 
 SIZE = 60, 80
 
 
-def stroke(**fields: Any) -> Stroke:
+def stroke(**fields: Any) -> MarkStroke:
     usual = {"picture": 0, "tool": "brush", "mark": "target", "width": 0.1, "points": [(0.5, 0.5)]}
-    return Stroke.read(json.dumps({**usual, **fields}).encode())
+    return MarkStroke.read(json.dumps({**usual, **fields}).encode())
 
 
 def blank() -> np.ndarray:
@@ -80,11 +89,11 @@ def test_any_stroke_leaves_marks(points: list[tuple[float, float]], tool: str, w
 )
 def test_what_is_no_stroke_is_refused(text: bytes) -> None:
     with pytest.raises(ValueError):
-        Stroke.read(text)
+        MarkStroke.read(text)
 
 
 def test_strokes_can_be_taken_back() -> None:
-    sheet = Sheet(blank())
+    sheet = MarkSheet(blank())
     first = stroke().drawn(sheet.marks)
     sheet.put(first)
     sheet.put(stroke(mark="other", points=[(0.1, 0.1)]).drawn(first))

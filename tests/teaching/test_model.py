@@ -12,7 +12,7 @@ import pytest
 from dream.perception import LearnedLabels
 from dream.perception.sight import FEATURES
 from dream.teaching.backbone import TEXTURE, open_backbone
-from dream.teaching.fit import Example, Lesson
+from dream.teaching.fit import Example, HeadLesson
 from dream.teaching.model import Extractor, Head, save, taught_model
 from dream.types import Label
 from tests.teaching.lessons import save_sight, save_tokens, scene, strokes
@@ -39,7 +39,7 @@ def test_the_model_labels_as_was_shown(tmp_path: Path, name: str) -> None:
     examples = [
         Example.of(str(n), extractor.cells(rgb), strokes(truth)) for n, (rgb, truth) in enumerate(taught)
     ]
-    found = Lesson(examples, extractor.backbone.channels).measured(extractor)
+    found = HeadLesson(examples, extractor.backbone.channels).measured(extractor)
     assert found is not None
     save(tmp_path / "shell.onnx", extractor, found.head, "shell", {"target": "shell"})
     labels = LearnedLabels(tmp_path / "shell.onnx")

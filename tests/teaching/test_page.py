@@ -16,7 +16,7 @@ from dream.perception import LearnedLabels
 from dream.types import Label
 from tests.programs import CHROMIUM, do_without
 from tests.teaching.lessons import scene
-from tests.teaching.teaching import TOKEN, Taught, taught
+from tests.teaching.teaching import TOKEN, TaughtHead, taught
 from tests.teaching.test_session import dots
 
 pytestmark = pytest.mark.slow
@@ -34,7 +34,7 @@ def browser() -> Iterator[Browser]:
 
 
 @pytest.fixture
-def lesson(tmp_path: Path) -> Iterator[Taught]:
+def lesson(tmp_path: Path) -> Iterator[TaughtHead]:
     with taught(tmp_path) as found:
         yield found
 
@@ -45,7 +45,7 @@ def complaints() -> list[str]:
 
 
 @pytest.fixture
-def page(browser: Browser, complaints: list[str], lesson: Taught) -> Iterator[Page]:
+def page(browser: Browser, complaints: list[str], lesson: TaughtHead) -> Iterator[Page]:
     context = browser.new_context(viewport={"width": 1280, "height": 800})
     page = context.new_page()
     page.set_default_timeout(60_000)
@@ -88,7 +88,7 @@ def mark(page: Page, number: int) -> None:
 
 @pytest.mark.rare
 def test_strokes_become_labels_a_figure_and_a_model(
-    page: Page, lesson: Taught, complaints: list[str], tmp_path: Path
+    page: Page, lesson: TaughtHead, complaints: list[str], tmp_path: Path
 ) -> None:
     expect(page.locator("#state")).to_have_text("mark")
     expect(page.locator("#say")).to_have_text("Next: mark some shell, with a few strokes.")
@@ -117,7 +117,9 @@ def test_strokes_become_labels_a_figure_and_a_model(
 
 
 @pytest.mark.rare
-def test_keys_choose_tools_pictures_and_take_back(page: Page, lesson: Taught, complaints: list[str]) -> None:
+def test_keys_choose_tools_pictures_and_take_back(
+    page: Page, lesson: TaughtHead, complaints: list[str]
+) -> None:
     marks = lesson.session.folder / "marks/p1.png"
     page.keyboard.press("ArrowRight")
     expect(page.locator("#name")).to_have_text("p1")
@@ -149,7 +151,7 @@ def test_keys_choose_tools_pictures_and_take_back(page: Page, lesson: Taught, co
 
 
 @pytest.mark.rare
-def test_it_fits_a_phone_and_says_when_the_server_is_gone(page: Page, lesson: Taught) -> None:
+def test_it_fits_a_phone_and_says_when_the_server_is_gone(page: Page, lesson: TaughtHead) -> None:
     page.set_viewport_size({"width": 390, "height": 844})
     expect(page.locator("#stack")).to_be_visible()
     assert page.evaluate("document.documentElement.scrollWidth") <= 390

@@ -13,26 +13,26 @@ pytest.importorskip("fastapi")
 pytest.importorskip("uvicorn")
 
 from tests.live.flying import Browser
-from tests.teaching.teaching import TOKEN, Taught, taught
+from tests.teaching.teaching import TOKEN, TaughtHead, taught
 from tests.teaching.test_session import all_open, until
 
 BOX = {"picture": 0, "tool": "box", "mark": "target", "width": 0.1, "points": [[0.1, 0.1], [0.4, 0.4]]}
 
 
 @pytest.fixture
-def lesson(tmp_path: Path) -> Iterator[Taught]:
+def lesson(tmp_path: Path) -> Iterator[TaughtHead]:
     with taught(tmp_path) as found:
         until(found.session, all_open)
         yield found
 
 
-def opened(lesson: Taught) -> Browser:
+def opened(lesson: TaughtHead) -> Browser:
     browser = Browser(lesson.port)
     assert browser.open(TOKEN) == 200
     return browser
 
 
-def test_the_page_holds_nothing_from_elsewhere(lesson: Taught) -> None:
+def test_the_page_holds_nothing_from_elsewhere(lesson: TaughtHead) -> None:
     browser = opened(lesson)
     for path in ("/", "/page.css", "/page.js"):
         status, content = browser.get(path)
@@ -42,7 +42,7 @@ def test_the_page_holds_nothing_from_elsewhere(lesson: Taught) -> None:
         assert "{{" not in text, path
 
 
-def test_what_is_asked_for_is_told(lesson: Taught) -> None:
+def test_what_is_asked_for_is_told(lesson: TaughtHead) -> None:
     browser = opened(lesson)
     view: dict[str, Any] = json.loads(browser.get("/view")[1])
     assert view["target"] == "shell"
@@ -56,7 +56,7 @@ def test_what_is_asked_for_is_told(lesson: Taught) -> None:
         assert browser.get(path)[0] == 404
 
 
-def test_strokes_are_drawn_taken_back_and_cleared(lesson: Taught) -> None:
+def test_strokes_are_drawn_taken_back_and_cleared(lesson: TaughtHead) -> None:
     browser = opened(lesson)
     path = lesson.session.folder / "marks/p0.png"
     assert browser.post("/draw", BOX) == (204, "")
@@ -85,11 +85,11 @@ def test_strokes_are_drawn_taken_back_and_cleared(lesson: Taught) -> None:
         ("/pictures/0/marks", {}, 405),
     ],
 )
-def test_what_may_not_be_posted_is_refused(lesson: Taught, path: str, content: Any, status: int) -> None:
+def test_what_may_not_be_posted_is_refused(lesson: TaughtHead, path: str, content: Any, status: int) -> None:
     assert opened(lesson).post(path, content)[0] == status
 
 
-def test_only_its_own_page_may_mark(lesson: Taught) -> None:
+def test_only_its_own_page_may_mark(lesson: TaughtHead) -> None:
     browser = opened(lesson)
     assert browser.post("/draw", BOX, origin="http://elsewhere.example")[0] == 403
     stranger = Browser(lesson.port)

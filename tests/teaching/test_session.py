@@ -15,7 +15,7 @@ from PIL import Image
 
 from dream.perception import LearnedLabels
 from dream.teaching import session as sessions
-from dream.teaching.marks import Stroke
+from dream.teaching.marks import MarkStroke
 from dream.teaching.model import Extractor
 from dream.teaching.pictures import Picture, pictures_in
 from dream.teaching.session import Session
@@ -63,7 +63,7 @@ def all_open(told: dict[str, Any]) -> bool:
     return all(one["open"] or one["lost"] for one in told["pictures"])
 
 
-def dots(number: int, *, target: bool, every: int = 25) -> Iterator[Stroke]:
+def dots(number: int, *, target: bool, every: int = 25) -> Iterator[MarkStroke]:
     """Short strokes on what is target, or on what is not, as far from its edge as a person stays."""
     _, inside = scene(number)
     height, width = inside.shape
@@ -71,7 +71,7 @@ def dots(number: int, *, target: bool, every: int = 25) -> Iterator[Stroke]:
         for x in range(12, width - 12, every):
             around = inside[y - 8 : y + 9, x - 8 : x + 9]
             if around.all() if target else not around.any():
-                yield Stroke(
+                yield MarkStroke(
                     picture=number,
                     tool="brush",
                     mark="target" if target else "other",
@@ -135,7 +135,7 @@ def test_the_last_strokes_are_taken_back_on_disk_too(
     photos: Path, extractor: Extractor, tmp_path: Path
 ) -> None:
     path = tmp_path / "out/marks/p0.png"
-    box = Stroke(picture=0, tool="box", mark="target", width=0.1, points=WHOLE)
+    box = MarkStroke(picture=0, tool="box", mark="target", width=0.1, points=WHOLE)
     with at_work(photos, extractor, tmp_path / "out") as session:
         until(session, all_open)
         session.draw(box)
@@ -159,7 +159,7 @@ def test_marks_that_cannot_be_kept_are_not_shown(
         until(session, all_open)
         monkeypatch.setattr(sessions, "write_marks", full)
         with pytest.raises(OSError, match="No space left"):
-            session.draw(Stroke(picture=0, tool="box", mark="target", width=0.1, points=WHOLE))
+            session.draw(MarkStroke(picture=0, tool="box", mark="target", width=0.1, points=WHOLE))
         assert not session.view.told["pictures"][0]["target"]
 
 
@@ -173,7 +173,7 @@ def test_a_picture_that_cannot_be_read_stops_nothing(
         assert "expected a picture" in told["pictures"][1]["lost"]
         assert session.picture(1, "shown") is None
         with pytest.raises(LookupError):
-            session.draw(Stroke(picture=1, tool="box", mark="target", width=0.1, points=WHOLE))
+            session.draw(MarkStroke(picture=1, tool="box", mark="target", width=0.1, points=WHOLE))
         mark(session, 0)
         until(session, lambda told: told["quality"] is not None)
 

@@ -129,7 +129,7 @@ class Teach:
     def _learned(self, pictures: list[Picture], extractor: Extractor, out: Path, marks: Path) -> int:
         """Learn from marks that are ready."""
         from dream.perception.sight import file_sha256
-        from dream.teaching.fit import Example, Lesson
+        from dream.teaching.fit import Example, HeadLesson
         from dream.teaching.marks import SUFFIX, read_marks
         from dream.teaching.model import save
         from dream.teaching.pictures import shown_size
@@ -147,7 +147,7 @@ class Teach:
                     work.done += 1
             began = time.monotonic()
             with stage("learning"):
-                taught = Lesson(examples, extractor.backbone.channels).measured(extractor)
+                taught = HeadLesson(examples, extractor.backbone.channels).measured(extractor)
         except KeyboardInterrupt:
             raise MissionAborted("aborted: interrupted; no model was written") from None
         assert taught is not None

@@ -44,7 +44,7 @@ KNOWN_TO = 1.1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Answer:
+class SightAnswer:
     """What the network says of a picture of (H, W)."""
 
     shares: Float32Array
@@ -81,7 +81,7 @@ class Sight:
         """
         self._network = opened(path, threads=threads)
         self._repeats = Repeats()
-        self._last: tuple[UInt8Array, View | None, Answer | None] | None = None
+        self._last: tuple[UInt8Array, View | None, SightAnswer | None] | None = None
 
     def segment(self, rgb: UInt8Array, view: View | None = None) -> tuple[UInt8Array, Float32Array]:
         """See `Segmenter.segment`."""
@@ -101,7 +101,7 @@ class Sight:
             np.where(solid, answer.near, np.float32(0.0)),
         )
 
-    def answer(self, rgb: UInt8Array, view: View | None = None) -> Answer:
+    def answer(self, rgb: UInt8Array, view: View | None = None) -> SightAnswer:
         """All that the network says, believed or not.
 
         Args:
@@ -113,7 +113,7 @@ class Sight:
         """
         return self._asked(rgb, view)[0]
 
-    def _answer(self, rgb: UInt8Array, view: View | None) -> Answer | None:
+    def _answer(self, rgb: UInt8Array, view: View | None) -> SightAnswer | None:
         """That of the last time where the question is the same; None where it is not to be believed."""
         if self._last is not None:
             picture, seen_from, answer = self._last
@@ -123,7 +123,7 @@ class Sight:
         self._last = rgb, view, None if repeats else found
         return self._last[2]
 
-    def _asked(self, rgb: UInt8Array, view: View | None) -> tuple[Answer, bool]:
+    def _asked(self, rgb: UInt8Array, view: View | None) -> tuple[SightAnswer, bool]:
         if rgb.ndim != 3 or rgb.shape[2] != 3 or rgb.dtype != np.uint8:
             raise ValueError(f"rgb: expected (H, W, 3) uint8, got {rgb.shape} {rgb.dtype}")
         if view is not None:
@@ -140,7 +140,7 @@ class Sight:
         if shares.shape[1:] != rgb.shape[:2]:
             shares = resampled(shares, frame, rgb.shape)
         if view is None:
-            return Answer(shares, None, None, features), repeats
+            return SightAnswer(shares, None, None, features), repeats
         # A depth between that of what is in front and that of what is behind would be neither.
         ratio, error = nearest(depth, frame, rgb.shape)
         with np.errstate(over="ignore"):
@@ -148,7 +148,7 @@ class Sight:
             near = 1.0 - np.exp(-math.log(KNOWN_TO) * np.exp(-np.clip(error, -8.0, 8.0)))
         lost = ~(np.isfinite(ratio) & np.isfinite(error))
         return (
-            Answer(
+            SightAnswer(
                 shares,
                 np.where(lost, np.float32(np.nan), metres).astype(np.float32),
                 np.where(lost, np.float32(0.0), near).astype(np.float32),

@@ -41,7 +41,7 @@ IMAGENET = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 TEXTURE_SIZE, TEXTURE_GRID = (240, 320), (60, 80)
 
 
-class Card(BaseModel):
+class BackboneCard(BaseModel):
     """What is to be known of a network: `backbone.json` beside `backbone.onnx`. All of it may be left out.
 
     The picture is x = (scale · rgb − mean) / std, channel by channel, as in a `Sidecar`.
@@ -109,7 +109,7 @@ def open_backbone(path: Path | None) -> Backbone:
         model = onnx.load_model_from_string(content)
     except Exception as error:
         raise ValueError(f"--backbone: expected an ONNX model, got {path} ({str(error)[:200]})") from error
-    card = read_card(path.with_suffix(".json")) if path != SHIPPED else Card()
+    card = read_card(path.with_suffix(".json")) if path != SHIPPED else BackboneCard()
     given = {one.name for one in model.graph.initializer}
     inputs = {one.name: one for one in model.graph.input if one.name not in given}
     outputs = [one.name for one in model.graph.output]
@@ -145,20 +145,20 @@ def open_backbone(path: Path | None) -> Backbone:
     )
 
 
-def read_card(path: Path) -> Card:
+def read_card(path: Path) -> BackboneCard:
     """The card in a file; an empty one where there is none.
 
     Raises:
         ValueError: It cannot be read, or does not say what a card may.
     """
     if not path.is_file():
-        return Card()
+        return BackboneCard()
     try:
         with path.open("rb") as file:
             text = file.read(MOST_TEXT + 1)
         if len(text) > MOST_TEXT:
             raise ValueError(f"expected at most {MOST_TEXT} bytes")
-        return Card.model_validate_json(text)
+        return BackboneCard.model_validate_json(text)
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(map(str, first["loc"])) or "all of it"
@@ -188,7 +188,7 @@ def _texture() -> Backbone:
     )
 
 
-def _output_of(model: Any, card: Card) -> str:
+def _output_of(model: Any, card: BackboneCard) -> str:
     outputs = {one.name: len(one.type.tensor_type.shape.dim) for one in model.graph.output}
     if card.output is not None:
         if card.output not in outputs:
@@ -204,14 +204,14 @@ def _output_of(model: Any, card: Card) -> str:
     )
 
 
-def _is_tokens(model: Any, output: str, card: Card) -> bool:
+def _is_tokens(model: Any, output: str, card: BackboneCard) -> bool:
     if card.features is not None:
         return card.features == "tokens"
     found = next(one for one in model.graph.output if one.name == output)
     return len(found.type.tensor_type.shape.dim) == 3
 
 
-def _size_of(picture: Any, card: Card, tokens: bool) -> tuple[int, int]:
+def _size_of(picture: Any, card: BackboneCard, tokens: bool) -> tuple[int, int]:
     """Height and width of the input: what the file says, else its card, else what suits tokens."""
     told = picture.type.tensor_type
     lengths = [dim.dim_value if dim.HasField("dim_value") else None for dim in told.shape.dim]
@@ -311,7 +311,7 @@ def open_session(content: bytes) -> Any:
 
 
 def _as_grid(
-    model: Any, output: str, shape: tuple[int, ...], size: tuple[int, int], card: Card
+    model: Any, output: str, shape: tuple[int, ...], size: tuple[int, int], card: BackboneCard
 ) -> tuple[str, tuple[int, ...]]:
     """Put tokens (1, N, C) into their grid, without those of class and registers; its name and shape."""
     from onnx import TensorProto, helper, numpy_helper

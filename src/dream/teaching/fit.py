@@ -23,7 +23,7 @@ from dream.types import Float32Array, UInt8Array
 
 
 @dataclass(frozen=True, slots=True)
-class Choice:
+class HeadChoice:
     """How a head is learned."""
 
     penalty: float
@@ -32,7 +32,7 @@ class Choice:
     """Whether colour and texture alone are seen."""
 
 
-CHOICES = tuple(Choice(penalty, plain) for plain in (False, True) for penalty in (0.01, 0.1, 1.0))
+CHOICES = tuple(HeadChoice(penalty, plain) for plain in (False, True) for penalty in (0.01, 0.1, 1.0))
 USUAL = CHOICES[1]
 """Which is taken while nothing can be measured."""
 LEAST_MARKED = 1.0 / 8.0
@@ -120,12 +120,12 @@ class Quality:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Taught:
+class TaughtHead:
     """What came of some marks."""
 
     head: Head
     quality: Quality
-    choice: Choice
+    choice: HeadChoice
     scale: float
     offset: float
     """Of the logits, from pictures that were left out."""
@@ -145,7 +145,7 @@ def lacking(examples: Sequence[Example]) -> str:
     return ""
 
 
-class Lesson:
+class HeadLesson:
     """The marked pictures, with features on one scale and in few dimensions.
 
     Means, spreads and principal components are of the marked cells of all pictures; what they are labelled
@@ -174,12 +174,12 @@ class Lesson:
         self._of = np.concatenate([np.full(len(e.rows), n) for n, e in enumerate(examples)])
 
     @property
-    def choices(self) -> tuple[Choice, ...]:
+    def choices(self) -> tuple[HeadChoice, ...]:
         """Those that differ."""
         return CHOICES if self._basis.shape[1] else tuple(choice for choice in CHOICES if choice.plain)
 
     def fit(
-        self, choice: Choice, without: int | None = None, start: Float64Array | None = None
+        self, choice: HeadChoice, without: int | None = None, start: Float64Array | None = None
     ) -> Float64Array:
         """Weights, and last the offset, from all pictures but one.
 
@@ -205,11 +205,11 @@ class Lesson:
         bias = float(weights[-1] - outer @ self._mean)
         return Head(scale * outer, scale * bias + offset)
 
-    def learned(self, choice: Choice, scale: float, offset: float) -> Head:
+    def learned(self, choice: HeadChoice, scale: float, offset: float) -> Head:
         """A head from all pictures, without measuring it."""
         return self.head(self.fit(choice), scale, offset)
 
-    def measured(self, extractor: Extractor, stop: Callable[[], bool] = lambda: False) -> Taught | None:
+    def measured(self, extractor: Extractor, stop: Callable[[], bool] = lambda: False) -> TaughtHead | None:
         """A head from all pictures, and how good it is.
 
         Args:
@@ -229,7 +229,7 @@ class Lesson:
             if marked >= FEWEST_PICTURES:
                 why = "without some picture the others have too few marks of one kind"
             head = self.learned(USUAL, SCEPTICAL, 0.0)
-            return Taught(head, Quality(why=why), USUAL, SCEPTICAL, 0.0)
+            return TaughtHead(head, Quality(why=why), USUAL, SCEPTICAL, 0.0)
         choices = self.choices
         whole = [self.fit(choice) for choice in choices]
         weights: dict[tuple[int, int], Float64Array] = {}
@@ -252,7 +252,7 @@ class Lesson:
         at = int(losses.mean(axis=1).argmin())
         scale, offset = self._platt({n: self.logits(weights[at, n], n) for n in folds})
         head = self.head(whole[at], scale, offset)
-        return Taught(head, quality_of(held), choices[at], scale, offset)
+        return TaughtHead(head, quality_of(held), choices[at], scale, offset)
 
     def _loss(self, logits: Float64Array, picture: int) -> float:
         """Mean log loss of a picture's cells, both kinds of equal weight where it has both."""

@@ -39,7 +39,7 @@ _BOMBS = (Image.DecompressionBombError, Image.DecompressionBombWarning)
 Share = Annotated[float, Field(ge=-1.0, le=2.0, allow_inf_nan=False)]
 
 
-class Stroke(BaseModel):
+class MarkStroke(BaseModel):
     """One stroke or box over a picture."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -56,7 +56,7 @@ class Stroke(BaseModel):
     """From left and from above, as shares of the picture's width and height."""
 
     @classmethod
-    def read(cls, text: bytes) -> Stroke:
+    def read(cls, text: bytes) -> MarkStroke:
         """From JSON.
 
         Raises:
@@ -88,7 +88,7 @@ class Stroke(BaseModel):
 
 
 @dataclass(slots=True)
-class Sheet:
+class MarkSheet:
     """The marks of one picture, and what they were before the last strokes."""
 
     marks: UInt8Array

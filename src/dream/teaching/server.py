@@ -19,7 +19,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from dream.live.doors import Doorkeeper, Doors
 from dream.live.server import FOR_EVER, MAX_PAGES, NEVER, Admit, host
 from dream.report import fill, part
-from dream.teaching.marks import OTHER, TARGET, Stroke
+from dream.teaching.marks import OTHER, TARGET, MarkStroke
 from dream.teaching.session import COLORS, Session
 
 if TYPE_CHECKING:
@@ -114,7 +114,7 @@ def page_of(
         return answer
 
     def draw(body: bytes) -> None:
-        session.draw(Stroke.read(body))
+        session.draw(MarkStroke.read(body))
 
     def back(body: bytes) -> None:
         session.back(_which(body))

@@ -23,8 +23,17 @@ from scipy.special import expit
 
 from dream.perception.sight import file_sha256
 from dream.teaching import fit
-from dream.teaching.fit import Example, Lesson, Taught, lacking
-from dream.teaching.marks import OTHER, SUFFIX, TARGET, UNMARKED, Sheet, Stroke, read_marks, write_marks
+from dream.teaching.fit import Example, HeadLesson, TaughtHead, lacking
+from dream.teaching.marks import (
+    OTHER,
+    SUFFIX,
+    TARGET,
+    UNMARKED,
+    MarkSheet,
+    MarkStroke,
+    read_marks,
+    write_marks,
+)
 from dream.teaching.model import Extractor, Head, save
 from dream.teaching.pictures import Picture, shown, shown_size
 from dream.types import Float32Array, UInt8Array
@@ -42,7 +51,7 @@ logger = logging.getLogger(__name__)
 
 
 @dataclass(slots=True)
-class _Sheet(Sheet):
+class _OpenSheet(MarkSheet):
     """A picture that is open: what is shown of it, and what is known of it."""
 
     digest: str = ""
@@ -76,7 +85,7 @@ class _Sheet(Sheet):
 
 
 @dataclass(frozen=True, slots=True)
-class View:
+class SessionView:
     """What a page shows."""
 
     number: int
@@ -99,14 +108,14 @@ class Session:
         self.pictures = tuple(pictures)
         self.name, self.folder = name, folder
         self._extractor = extractor
-        self._sheets: list[_Sheet | None] = [None] * len(pictures)
+        self._sheets: list[_OpenSheet | None] = [None] * len(pictures)
         self._lost: dict[int, str] = {}
         self._changed = threading.Condition()
         self._marked = 0
         """Grows with each change of marks."""
         self._learned = self._measured = -1
         """The count of changes that head and quality are of."""
-        self._taught: Taught | None = None
+        self._taught: TaughtHead | None = None
         self._head: Head | None = None
         self._heads = 0
         """Grows with each head that is shown."""
@@ -117,7 +126,7 @@ class Session:
         self._first = 0
         """The picture that somebody waits for, which is opened before others."""
         self._over = False
-        self._view = View(0, {})
+        self._view = SessionView(0, {})
         self._publish()
 
     @property
@@ -126,7 +135,7 @@ class Session:
         return self.folder / f"{self.name}.onnx"
 
     @property
-    def view(self) -> View:
+    def view(self) -> SessionView:
         """What there is to show now."""
         return self._view
 
@@ -154,7 +163,7 @@ class Session:
             return _overlay(np.where(told, TARGET, UNMARKED).astype(np.uint8), 110, 255), "image/png"
         return None
 
-    def draw(self, stroke: Stroke) -> None:
+    def draw(self, stroke: MarkStroke) -> None:
         """Put a stroke on a picture, and keep its marks.
 
         Raises:
@@ -255,19 +264,19 @@ class Session:
             self._over = True
             self._changed.notify_all()
 
-    def _opened(self, number: int) -> _Sheet:
+    def _opened(self, number: int) -> _OpenSheet:
         sheet = self._sheets[number] if 0 <= number < len(self._sheets) else None
         if sheet is None:
             raise LookupError("That picture is not open yet.")
         return sheet
 
-    def _keep(self, number: int, sheet: _Sheet, marks: UInt8Array) -> None:
+    def _keep(self, number: int, sheet: _OpenSheet, marks: UInt8Array) -> None:
         write_marks(self._place(number), marks, sheet.digest)
 
     def _place(self, number: int) -> Path:
         return self.folder / MARKS / f"{self.pictures[number].name}{SUFFIX}"
 
-    def _note(self, sheet: _Sheet) -> None:
+    def _note(self, sheet: _OpenSheet) -> None:
         """Marks changed; call it with the lock."""
         sheet.example = None
         sheet.turns += 1
@@ -311,7 +320,7 @@ class Session:
         small = shown(rgb)
         thumb = Image.fromarray(small)
         thumb.thumbnail((THUMB_WIDTH, THUMB_WIDTH * 2), Image.Resampling.BOX)
-        sheet = _Sheet(
+        sheet = _OpenSheet(
             marks,
             digest=digest,
             shown=_jpeg(Image.fromarray(small), 88),
@@ -364,8 +373,8 @@ class Session:
             self._say("")
             self._changed.notify_all()
 
-    def _lesson(self, examples: Sequence[Example]) -> Lesson:
-        return Lesson(examples, self._extractor.backbone.channels)
+    def _lesson(self, examples: Sequence[Example]) -> HeadLesson:
+        return HeadLesson(examples, self._extractor.backbone.channels)
 
     def _measure(self) -> None:
         at, examples = self._examples()
@@ -439,10 +448,12 @@ class Session:
             "saved": self._saved,
             "model": str(self.model),
         }
-        self._view = View(self._view.number + 1, told)
+        self._view = SessionView(self._view.number + 1, told)
 
 
-def card_of(extractor: Extractor, name: str, taught: Taught, examples: Sequence[Example]) -> dict[str, Any]:
+def card_of(
+    extractor: Extractor, name: str, taught: TaughtHead, examples: Sequence[Example]
+) -> dict[str, Any]:
     """What there is to say of how a model was taught, as JSON has it."""
     quality = taught.quality
     held = {one.name: one for one in quality.held}

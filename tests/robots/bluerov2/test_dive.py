@@ -685,7 +685,7 @@ def test_the_line_that_dives_again_says_what_was_told() -> None:
         ("--area -1 -1 1 1 --min-altitude 0.5", "--min-altitude: expected less than the 0.5 m of the A50"),
         ("--stand-in --area -1 -1 1 1", "--area: expected none with --stand-in"),
         ("--area -1 -1 1 1 --protocol dream-v2 --tilt 30", "--tilt: expected 20, where the camera"),
-        ("--area -1 -1 1 1 --protocol dream-v2", "--depth: expected a network that estimates depth"),
+        ("--area -1 -1 1 1 --protocol dream-v2 --see shells", "--see: expected learned, or a network with"),
         ("--area -1 -1 1 1 --protocol dream-v2 --min-altitude 0.75", "less than the 0.7 m of the A50"),
     ],
 )

@@ -23,7 +23,9 @@ from dream.robots.bluerov2.parameters import rules
 from dream.robots.bluerov2.standin.drill import FAULTS
 
 ROOT = Path(__file__).parents[3]
-PAGE = (ROOT / "docs/bluerov2.md").read_text(encoding="utf-8")
+PAGE = "\n\n".join(
+    (ROOT / "docs" / name).read_text(encoding="utf-8") for name in ("bluerov2.md", "perception.md")
+)
 LINES = sorted(
     {found.rstrip() for found in re.findall(r"^ {4,8}(dream .*)$", PAGE.replace("\\\n", " "), re.MULTILINE)}
     | set(re.findall(r"`(dream [a-z]+ [^`]*)`", PAGE))

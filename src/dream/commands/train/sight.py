@@ -53,9 +53,9 @@ class TrainSight:
         """Exit status 0."""
         from dream.evaluation.engines import Processes
         from dream.learning.sight.making import CARD, MODEL, Making, make
-        from dream.learning.sight.training import Training
+        from dream.learning.sight.training import SightTraining
 
-        making = Making(self.albums, self.seed, training=Training(batches=self.batches, seed=self.seed))
+        making = Making(self.albums, self.seed, training=SightTraining(batches=self.batches, seed=self.seed))
         engine = Processes(self.jobs)
         check_writable(self.out)
         try:

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from dream.learning.export import IR, OPSET, check_installed
 from dream.learning.network import import_torch
-from dream.learning.sight.network import COARSE, Layer, Operator, Shape
+from dream.learning.sight.network import COARSE, Layer, LayerKind, Shape
 from dream.perception.sight import DEPTH, FEATURES, GRID, HEIGHT, LABELS, PICTURE, VIEW, WIDTH
 from dream.types import Float32Array, Label
 
@@ -67,15 +67,15 @@ def as_onnx(shape: Shape, network: Module) -> bytes:
 def _nodes(layer: Layer, network: Module, constants: dict[str, npt.NDArray[Any]], helper: Any) -> list[Any]:
     """The operators of one layer; its weights go into the constants."""
     name, inputs = layer.name, list(layer.inputs)
-    if layer.operator is Operator.JOIN:
+    if layer.operator is LayerKind.JOIN:
         return [helper.make_node("Concat", inputs, [name], axis=1)]
-    if layer.operator is Operator.MEAN:
+    if layer.operator is LayerKind.MEAN:
         return [helper.make_node("GlobalAveragePool", inputs, [name])]
-    if layer.operator is Operator.REPEAT:
+    if layer.operator is LayerKind.REPEAT:
         options = {"mode": "nearest", "coordinate_transformation_mode": "asymmetric", "nearest_mode": "floor"}
         constants[f"{name}_size"] = np.array([1, layer.channels, *_size(layer.like)], np.int64)
         return [helper.make_node("Resize", [*inputs, "", "", f"{name}_size"], [name], **options)]
-    if layer.operator is Operator.SHUFFLE:
+    if layer.operator is LayerKind.SHUFFLE:
         return [helper.make_node("DepthToSpace", inputs, [name], blocksize=2, mode="CRD")]
     weight, bias = _weights(network, layer)
     constants |= {f"{name}_weight": weight, f"{name}_bias": bias}

@@ -23,7 +23,7 @@ from dream.learning.network import import_torch
 from dream.learning.sight.export import as_onnx
 from dream.learning.sight.network import Shape
 from dream.learning.sight.pictures import SEEDS, Album, drawn
-from dream.learning.sight.training import Training, fit, marks
+from dream.learning.sight.training import SightTraining, fit, marks
 from dream.learning.training import device_named
 from dream.perception.sight import DEPTH, FEATURES, GRID, HEIGHT, LABELS, PICTURE, VIEW, WIDTH
 
@@ -44,7 +44,7 @@ class Making:
     views: int = 10
     """Of each world."""
     shape: Shape = field(default_factory=Shape)
-    training: Training = field(default_factory=Training)
+    training: SightTraining = field(default_factory=SightTraining)
 
     def __post_init__(self) -> None:
         for name in ("albums", "worlds", "views"):

@@ -24,7 +24,7 @@ COARSE = "coarse_labels"
 """Scores of labels at a quarter of the picture, which are learned beside the others and not written."""
 
 
-class Operator(StrEnum):
+class LayerKind(StrEnum):
     """What a layer does."""
 
     CONV = "convolution"
@@ -39,7 +39,7 @@ class Layer:
     """One line of the table; what comes out has its name."""
 
     name: str
-    operator: Operator
+    operator: LayerKind
     inputs: tuple[str, ...]
     channels: int = 0
     """That come out of a convolution, or of repeating."""
@@ -79,7 +79,7 @@ class Shape:
 
     def layers(self) -> list[Layer]:
         """The table, in an order in which it can be run."""
-        conv, join = Operator.CONV, Operator.JOIN
+        conv, join = LayerKind.CONV, LayerKind.JOIN
         half, quarter, *deeper = self.encoder
         table = [
             Layer("input", join, (PICTURE, VIEW)),
@@ -96,13 +96,15 @@ class Shape:
             ]
         plain: dict[str, Any] = {"kernel": 1, "normed": False, "rectified": False}
         table += [
-            Layer("mean", Operator.MEAN, ("e5",)),
+            Layer("mean", LayerKind.MEAN, ("e5",)),
             Layer("whole", conv, ("mean",), self.path, **plain),
             Layer("p5", conv, ("e5",), self.path, kernel=1, normed=False, plus=("whole",)),
         ]
         for number in (4, 3, 2):
             table += [
-                Layer(f"p{number + 1}up", Operator.REPEAT, (f"p{number + 1}",), self.path, like=f"e{number}"),
+                Layer(
+                    f"p{number + 1}up", LayerKind.REPEAT, (f"p{number + 1}",), self.path, like=f"e{number}"
+                ),
                 Layer(
                     f"l{number}",
                     conv,
@@ -120,11 +122,11 @@ class Shape:
             Layer(COARSE, conv, ("p2",), len(Label), **plain),
             Layer(FEATURES, join, ("p2", "e2")),
             Layer("thin", conv, ("p2",), self.fine, **plain),
-            Layer("p2up", Operator.REPEAT, ("thin",), self.fine, like="e1"),
+            Layer("p2up", LayerKind.REPEAT, ("thin",), self.fine, like="e1"),
             Layer("beside", join, ("e1", "p2up")),
             Layer("p1", conv, ("beside",), self.fine),
             Layer("fours", conv, ("p1",), 4 * len(Label), normed=False, rectified=False),
-            Layer(LABELS, Operator.SHUFFLE, ("fours",)),
+            Layer(LABELS, LayerKind.SHUFFLE, ("fours",)),
         ]
 
     def build(self, seed: int) -> Module:
@@ -137,9 +139,9 @@ class Shape:
             for layer in table:
                 taken = sum(widths[name] for name in layer.inputs)
                 widths[layer.name] = taken
-                if layer.operator is Operator.SHUFFLE:
+                if layer.operator is LayerKind.SHUFFLE:
                     widths[layer.name] = taken // 4
-                if layer.operator is not Operator.CONV:
+                if layer.operator is not LayerKind.CONV:
                     continue
                 widths[layer.name] = layer.channels
                 conv = torch.nn.Conv2d(
@@ -176,13 +178,13 @@ def _module(table: list[Layer], parts: ModuleDict) -> Module:
 def _run(layer: Layer, inputs: list[Tensor], found: Mapping[str, Tensor], parts: ModuleDict) -> Tensor:
     torch = import_torch()
     functional = torch.nn.functional
-    if layer.operator is Operator.JOIN:
+    if layer.operator is LayerKind.JOIN:
         out: Tensor = torch.cat(inputs, 1)
-    elif layer.operator is Operator.MEAN:
+    elif layer.operator is LayerKind.MEAN:
         out = inputs[0].mean((2, 3), keepdim=True)
-    elif layer.operator is Operator.REPEAT:
+    elif layer.operator is LayerKind.REPEAT:
         out = functional.interpolate(inputs[0], size=found[layer.like].shape[2:], mode="nearest")
-    elif layer.operator is Operator.SHUFFLE:
+    elif layer.operator is LayerKind.SHUFFLE:
         out = functional.pixel_shuffle(inputs[0], 2)
     else:
         out = parts[layer.name](inputs[0])

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+import mmap
 from collections.abc import Generator
 from dataclasses import dataclass, replace
 from functools import partial
@@ -78,7 +79,7 @@ class Album:
 
     def file(self, folder: Path) -> Path:
         """Where it is kept."""
-        return folder / f"{self.seed}-{self.number:04d}-{self.worlds}x{self.views}.npy"
+        return folder / f"{self.seed}-{self.number:04d}-{self.worlds}x{self.views}.pictures"
 
 
 def drawn(albums: list[Album], folder: Path, engine: Engine) -> Generator[Path, None, None]:
@@ -104,13 +105,12 @@ def opened(path: Path) -> npt.NDArray[Any]:
     Raises:
         ValueError: The file is damaged, or no album.
     """
-    try:
-        album: npt.NDArray[Any] = np.load(path, mmap_mode="r", allow_pickle=False)
-    except (OSError, ValueError, EOFError) as error:
-        raise ValueError(f"{path}: expected pictures to learn from, got a damaged file. Delete it") from error
-    if album.dtype != PICTURE or album.ndim != 1:
-        raise ValueError(f"{path}: expected pictures to learn from, got {album.dtype.kind}. Delete it")
-    return album
+    with path.open("rb") as file:
+        size = path.stat().st_size
+        if size == 0 or size % PICTURE.itemsize:
+            raise ValueError(f"{path}: expected pictures to learn from, got a damaged file. Delete it")
+        content = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+    return np.frombuffer(content, PICTURE)
 
 
 def draw(album: Album, folder: Path) -> Path:
@@ -125,7 +125,7 @@ def draw(album: Album, folder: Path) -> Path:
         _fill(pictures[at : at + album.views], replace(world, water=CLEAR), rng)
     path = album.file(folder)
     with whole_or_nothing(path) as partial_file, partial_file.open("wb") as file:
-        np.save(file, pictures, allow_pickle=False)
+        file.write(pictures.tobytes())
     return path
 
 

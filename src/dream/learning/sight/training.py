@@ -18,7 +18,7 @@ from dream.files import whole_or_nothing
 from dream.learning.network import import_torch
 from dream.learning.sight.network import COARSE
 from dream.learning.sight.pictures import opened
-from dream.learning.sight.waters import FINER, Lesson, lesson
+from dream.learning.sight.waters import FINER, SightLesson, lesson
 from dream.learning.training import hash_of
 from dream.perception.sight import DEPTH, FARTHEST, KNOWN_TO, LABELS, NEAREST
 from dream.types import Label
@@ -42,7 +42,7 @@ CLOSE = 6.0
 
 
 @dataclass(frozen=True, slots=True)
-class Training:
+class SightTraining:
     """How it learns.
 
     What it does: lessens the cross-entropy of the labels, in which rare ones count more, and the negative log
@@ -109,10 +109,10 @@ class Lessons:
 
     albums: tuple[Path, ...]
     """Files of pictures."""
-    training: Training
+    training: SightTraining
     device: str
 
-    def __call__(self, number: int) -> Lesson:
+    def __call__(self, number: int) -> SightLesson:
         """The batch of a number, from 0; the same whenever it is asked for."""
         pages = [opened(path) for path in self.albums]
         ends = np.cumsum([len(page) for page in pages])
@@ -125,7 +125,7 @@ class Lessons:
         seed = hash_of(self.training.seed, number)
         return lesson(pictures, seed, self.device, shrunk=shrunk, hard=hard)
 
-    def in_turn(self, first: int) -> Generator[Lesson, None, None]:
+    def in_turn(self, first: int) -> Generator[SightLesson, None, None]:
         """From a number on. Without a GPU they are made in a process of their own, ahead of what is asked."""
         numbers = range(first, self.training.batches)
         if self.device != "cpu":
@@ -138,9 +138,9 @@ class Lessons:
                 for number in numbers:
                     ahead.append(other.submit(_as_arrays, self, number))
                     if len(ahead) > AHEAD:
-                        yield Lesson(*map(torch.from_numpy, ahead.popleft().result()))
+                        yield SightLesson(*map(torch.from_numpy, ahead.popleft().result()))
                 while ahead:
-                    yield Lesson(*map(torch.from_numpy, ahead.popleft().result()))
+                    yield SightLesson(*map(torch.from_numpy, ahead.popleft().result()))
             finally:
                 other.shutdown(cancel_futures=True)
 
@@ -152,7 +152,7 @@ def _as_arrays(lessons: Lessons, number: int) -> list[npt.NDArray[Any]]:
     return [getattr(made, field.name).numpy() for field in fields(made)]
 
 
-def planes(given: Lesson) -> Tensor:
+def planes(given: SightLesson) -> Tensor:
     """(n, 3, H, W): `dream.perception.sight.planes` of a batch."""
     view, floor = _view(given)
     torch = import_torch()
@@ -162,7 +162,7 @@ def planes(given: Lesson) -> Tensor:
     return torch.where(known.unsqueeze(1), stacked, torch.zeros_like(stacked))
 
 
-def _view(given: Lesson) -> tuple[Tensor, Tensor]:
+def _view(given: SightLesson) -> tuple[Tensor, Tensor]:
     """(n, H, W) share of each metre along the ray that leads down, and metres to the flat floor."""
     torch = import_torch()
     device = given.rgb.device
@@ -178,7 +178,7 @@ def _view(given: Lesson) -> tuple[Tensor, Tensor]:
     return down / straight, floor
 
 
-def losses(network: Any, given: Lesson, training: Training) -> tuple[Tensor, float, float]:
+def losses(network: Any, given: SightLesson, training: SightTraining) -> tuple[Tensor, float, float]:
     """What is to be lessened, and its parts: cross-entropy, mean error of the depth's logarithm."""
     torch = import_torch()
     picture = (given.rgb.float() / 255.0).contiguous(memory_format=torch.channels_last)
@@ -208,7 +208,7 @@ def _missed(scores: Tensor, truth: Tensor) -> Tensor:
     return missed
 
 
-def _logarithms(depth: Tensor, given: Lesson) -> tuple[Tensor, Tensor]:
+def _logarithms(depth: Tensor, given: SightLesson) -> tuple[Tensor, Tensor]:
     """(n, h, w): that of true depth over the floor's, NaN where there is none; and how far off it is."""
     torch = import_torch()
     _, floor = _view(given)
@@ -220,7 +220,7 @@ def _logarithms(depth: Tensor, given: Lesson) -> tuple[Tensor, Tensor]:
 def fit(
     network: Module,
     albums: Sequence[Path],
-    training: Training,
+    training: SightTraining,
     *,
     device: str = "cpu",
     kept: Path,
@@ -280,7 +280,7 @@ def _resume(path: Path, network: Any, optimizer: Any, device: str) -> int:
         ) from error
 
 
-def marks(network: Any, album: Path, training: Training, device: str = "cpu") -> Mapping[str, Any]:
+def marks(network: Any, album: Path, training: SightTraining, device: str = "cpu") -> Mapping[str, Any]:
     """How well it sees pictures that it did not learn from, in waters of the same laws.
 
     Intersection over union of each label and their mean, that of targets within `CLOSE`; mean relative error

@@ -48,7 +48,7 @@ UNKNOWN = 0.12
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Lesson:
+class SightLesson:
     """A batch of pictures and what they show."""
 
     rgb: Tensor
@@ -104,7 +104,7 @@ def lesson(
     plain: bool = False,
     shrunk: int = 1,
     hard: float = 1.0,
-) -> Lesson:
+) -> SightLesson:
     """What a batch of views looks like under water, the same for the same seed and device.
 
     Args:
@@ -174,7 +174,7 @@ def lesson(
         turned = camera.clone()
         turned[:, 2] = depth.shape[2] - camera[:, 2]
         camera = torch.where(mirrored.view(-1, 1), turned, camera)
-    return Lesson(rgb, labels, coarse.clamp(max=FARTHEST), camera, down, altitude)
+    return SightLesson(rgb, labels, coarse.clamp(max=FARTHEST), camera, down, altitude)
 
 
 def _linear(rgb: Tensor, device: str) -> Tensor:

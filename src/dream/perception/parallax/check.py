@@ -10,7 +10,7 @@ import numpy as np
 
 from dream.geometry import FloatArray
 from dream.perception.flat_floor import rays
-from dream.perception.parallax.matching import Points, PoseNoise, Shot, best_shot, corners, depths
+from dream.perception.parallax.matching import MotionPoints, PoseNoise, Shot, best_shot, corners, depths
 from dream.perception.view import View
 from dream.types import BoolArray, Float32Array, Label, UInt8Array
 
@@ -165,10 +165,10 @@ class Parallax:
             depth = depth * np.float32(scale)
         return Checked(depth, near, scale, len(found), int(np.count_nonzero(against)), _askew(view))
 
-    def _points(self, now: Shot, view: View, depth: Float32Array, seen: BoolArray) -> Points:
+    def _points(self, now: Shot, view: View, depth: Float32Array, seen: BoolArray) -> MotionPoints:
         shots = best_shot(now, self._shots, _some_points(view))
         if not shots:
-            return Points(np.zeros((0, 2)), np.zeros(0), np.zeros(0), math.inf)
+            return MotionPoints(np.zeros((0, 2)), np.zeros(0), np.zeros(0), math.inf)
         places = corners(now, seen & np.isfinite(depth))
         up = now.T_world_camera.rotation[2]
         found = depths(now, shots[0], places, up, self.noise)
@@ -200,7 +200,7 @@ def _some_points(view: View) -> FloatArray:
     return np.asarray(ways * far[:, None])
 
 
-def _evidence(points: Points, depth: Float32Array, view: View) -> _Evidence:
+def _evidence(points: MotionPoints, depth: Float32Array, view: View) -> _Evidence:
     """What is known where the network claims something that is no edge."""
     places = points.places
     rows, cols = places[:, 1].astype(np.intp), places[:, 0].astype(np.intp)

@@ -65,7 +65,7 @@ class Shot:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Points:
+class MotionPoints:
     """Depths of some points of a picture."""
 
     places: FloatArray
@@ -111,7 +111,7 @@ def best_shot(now: Shot, earlier: Sequence[Shot], away: FloatArray) -> list[Shot
     return [shot for _, shot in sorted(rated, key=lambda one: -one[0])]
 
 
-def depths(now: Shot, then: Shot, places: FloatArray, up: FloatArray, noise: PoseNoise) -> Points:
+def depths(now: Shot, then: Shot, places: FloatArray, up: FloatArray, noise: PoseNoise) -> MotionPoints:
     """How deep points of a picture are, by an earlier one.
 
     What it does: each is looked for along the line on which it has to be in the earlier picture, as a patch
@@ -150,7 +150,7 @@ def depths(now: Shot, then: Shot, places: FloatArray, up: FloatArray, noise: Pos
         kept = NOISE * depth < LEAST_KNOWN * slope
     places, depth, slope, off = places[kept], depth[kept], slope[kept], off[kept]
     if not len(depth):
-        return Points(places, depth, np.zeros(0), math.inf)
+        return MotionPoints(places, depth, np.zeros(0), math.inf)
     along, across, relative = _by_pose(now.camera, then.camera, T_then_now, places, depth, slope)
     weights = np.ones(len(off))
     prior = np.diag(NOISE**2 / np.array([noise.turn] * 3 + [noise.move] * 3) ** 2)
@@ -164,7 +164,7 @@ def depths(now: Shot, then: Shot, places: FloatArray, up: FloatArray, noise: Pos
     kept &= (inverse > 1.0 / FARTHEST) & (inverse < 1.0 / NEAREST)
     covariance = NOISE**2 * np.linalg.inv(normal)
     mean = relative[kept].mean(axis=0) if kept.any() else np.full(6, math.inf)
-    return Points(
+    return MotionPoints(
         places[kept],
         1.0 / inverse[kept],
         (NOISE * depth / slope)[kept],

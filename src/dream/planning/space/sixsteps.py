@@ -66,7 +66,7 @@ class ToInspect:
 
 
 @dataclass(frozen=True, slots=True)
-class View:
+class SpaceView:
     """A place, a heading and a tilt, and what they are worth."""
 
     node: tuple[int, int, int]
@@ -94,7 +94,7 @@ class SpaceThought:
     """(levels, rows, cols, headings) to get there; −1 where no way leads."""
     reasoning: Reasoning
     """The first three steps."""
-    view: View | None
+    view: SpaceView | None
     """The look; None where the mission should end."""
 
 
@@ -139,7 +139,7 @@ class SpacePilot:
     mission: Mission
     failed: dict[int, int] = field(default_factory=dict)
     """Frames that should have shown what lies in a voxel and did not, by the voxel."""
-    chosen: View | None = None
+    chosen: SpaceView | None = None
     hints: FarHints | None = field(init=False)
 
     def __post_init__(self) -> None:
@@ -190,7 +190,7 @@ class SpacePilot:
             observation, ways, surface, left, thin, thin_weights, steps, reasoning, self.chosen
         )
 
-    def act(self, thought: SpaceThought, view: View | None) -> Decision:
+    def act(self, thought: SpaceThought, view: SpaceView | None) -> Decision:
         """The first move of the way to a look; done without one."""
         protocol, ways, observation = self.mission.protocol, thought.ways, thought.observation
         if view is None:
@@ -211,7 +211,7 @@ class SpacePilot:
             ),
         )
 
-    def shows(self, thought: SpaceThought, view: View) -> tuple[float, float, float]:
+    def shows(self, thought: SpaceThought, view: SpaceView) -> tuple[float, float, float]:
         """Square metres of target, of unknown beside it, and of ground that are left and a look shows."""
         protocol, left = self.mission.protocol, thought.left
         yaw, tilt = view.heading * protocol.heading_step, protocol.tilts[view.tilt]
@@ -219,7 +219,7 @@ class SpacePilot:
         seen = left.only(shown(thought.ways, at, yaw, tilt, left.points, left.normals))
         return seen.of(TARGET), seen.of(EDGE), seen.of(GROUND)
 
-    def views(self, thought: SpaceThought, most: int, apart: float) -> list[View]:
+    def views(self, thought: SpaceThought, most: int, apart: float) -> list[SpaceView]:
         """The looks with the greatest rates from places that are apart, the chosen one first.
 
         Args:
@@ -242,7 +242,7 @@ class SpacePilot:
             if of_node[heading, tilt] > LEAST_RATE:
                 level, row, col = nodes[n].tolist()
                 there, rate = int(taken[n, heading, tilt]), float(of_node[heading, tilt])
-                rated.append(View((level, row, col), heading, tilt, there, rate))
+                rated.append(SpaceView((level, row, col), heading, tilt, there, rate))
         positions = ways.positions
         for one in sorted(rated, key=lambda view: -round(view.rate, 6)):
             if len(found) == most:
@@ -321,7 +321,7 @@ class SpacePilot:
 
     def _best(
         self, ways: KnownWays, steps: IntArray, left: ToInspect, weights: FloatArray, observation: Observation
-    ) -> View | None:
+    ) -> SpaceView | None:
         """The look with the greatest rate; the one chosen before where it is nearly as good."""
         soonest = _soonest(steps)
         nodes = _spread(ways, soonest)
@@ -359,15 +359,20 @@ class SpacePilot:
         return gains(ways, cameras, left.points[near], left.normals[near], weights[near])
 
     def _better(
-        self, best: View | None, nodes: IntArray, worth: FloatArray, steps: IntArray, observation: Observation
-    ) -> View | None:
+        self,
+        best: SpaceView | None,
+        nodes: IntArray,
+        worth: FloatArray,
+        steps: IntArray,
+        observation: Observation,
+    ) -> SpaceView | None:
         rates, taken = self._rates(nodes, worth, steps, observation)
         n, heading, tilt = np.unravel_index(int(rates.argmax()), rates.shape)
         rate = float(rates[n, heading, tilt])
         if rate <= LEAST_RATE or (best is not None and rate <= best.rate):
             return best
         level, row, col = nodes[n].tolist()
-        return View((level, row, col), int(heading), int(tilt), int(taken[n, heading, tilt]), rate)
+        return SpaceView((level, row, col), int(heading), int(tilt), int(taken[n, heading, tilt]), rate)
 
     def _rates(
         self, nodes: IntArray, worth: FloatArray, steps: IntArray, observation: Observation
@@ -381,7 +386,7 @@ class SpacePilot:
         taken = np.where(there[:, :, None] == 0.0, np.where(same, np.inf, 1.0), there[:, :, None])
         return np.round(worth / taken, 9), taken
 
-    def _move(self, ways: KnownWays, view: View, observation: Observation) -> Decision:
+    def _move(self, ways: KnownWays, view: SpaceView, observation: Observation) -> Decision:
         protocol = self.mission.protocol
         goal = np.zeros(ways.shape, np.bool_)
         goal[view.node] = True

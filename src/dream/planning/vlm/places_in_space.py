@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from dream.geometry import SE2
 from dream.planning.sixsteps import SixSteps
-from dream.planning.space.sixsteps import SpacePilot, SpaceThought, View
+from dream.planning.space.sixsteps import SpacePilot, SpaceThought, SpaceView
 from dream.planning.vlm.asking import Question
 from dream.planning.vlm.places import APART, MOST, SpacePlace
 from dream.planning.vlm.prompts import Own
@@ -157,7 +157,7 @@ class InSpace:
 class SixStepsPlace:
     """A look of `sixsteps`. See `SpacePlace`."""
 
-    view: View
+    view: SpaceView
     position: tuple[float, float, float]
     yaw: float
     tilt: float
@@ -206,7 +206,7 @@ class SixStepsPlaces:
         """See `OffersPlaces`."""
         return self.pilot.act(thought, thought.view if place is None else place.view)
 
-    def _path(self, thought: SpaceThought, view: View) -> npt.NDArray[np.float64]:
+    def _path(self, thought: SpaceThought, view: SpaceView) -> npt.NDArray[np.float64]:
         ways, observation, protocol = thought.ways, thought.observation, self.mission.protocol
         goal = np.zeros(ways.shape, np.bool_)
         goal[view.node] = True
