@@ -14,6 +14,7 @@ pytest.importorskip("onnxruntime")
 
 from dream.geometry import SE3, Camera, camera_mount
 from dream.perception import Perception, Sight, View
+from dream.perception.flat_floor import rays
 from dream.perception.sight import (
     FARTHEST,
     GRID,
@@ -64,7 +65,7 @@ def test_the_middle_of_the_view_sinks_as_the_camera_looks_down() -> None:
         middle, [1.0 / (1.0 + 0.5 * depth) - 0.4, math.sin(math.radians(30.0)), 0.2], atol=2e-3
     )
     assert (known[1, 0] < 0.0).all()
-    assert (floor_along_axis(VIEW)[0] == FARTHEST).all()
+    assert (floor_along_axis(rays(VIEW))[0] == FARTHEST).all()
 
 
 def test_nothing_is_told_where_nothing_is_known() -> None:

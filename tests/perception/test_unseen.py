@@ -68,12 +68,13 @@ def test_textures_repeat_and_are_the_same_for_the_same_seed() -> None:
 def test_a_view_over_a_plane_is_told_from_its_depth() -> None:
     from dream.geometry import SE3, Camera, camera_mount
     from dream.perception import View
+    from dream.perception.flat_floor import rays
     from dream.perception.sight import floor_along_axis
     from unseen import real
 
     camera = Camera.from_fov(64, 48, 1.0)
     view = View(camera, SE3.level(0.0, 0.0, 0.0, 0.0), camera_mount(math.radians(40.0)), 1.7)
-    found = real.view_over(floor_along_axis(view), camera)
+    found = real.view_over(floor_along_axis(rays(view)), camera)
     assert found is not None
     assert found.altitude == pytest.approx(1.7, abs=0.01)
     np.testing.assert_allclose(found.T_world_camera.rotation, view.T_world_camera.rotation, atol=0.01)

@@ -20,6 +20,7 @@ from dream.evaluation.engines import Engine
 from dream.evaluation.locks import alone_at
 from dream.evaluation.machine import libraries, source
 from dream.files import write_whole
+from dream.learning.claims import claim
 from dream.learning.expert import TURNS, Expert
 from dream.learning.export import INPUT, OUTPUT, answers_in, as_onnx, check_installed
 from dream.learning.network import PLANES, Network, import_torch
@@ -182,22 +183,7 @@ def _claim(folder: Path, curriculum: Curriculum) -> None:
     made_by = {"version": __version__, "source": source("learning"), **libraries(), "torch": version("torch")}
     plan = json.loads(json.dumps({**made_by, **asdict(curriculum)}))
     plan = {name: value for name, value in plan.items() if name not in ADDS}
-    path = folder / "plan.json"
-    try:
-        before = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        write_whole(path, (json.dumps(plan, indent=2) + "\n").encode())
-        return
-    except ValueError:
-        before = None
-    if not isinstance(before, dict):
-        raise ValueError(f"{path}: expected one JSON object, got damaged text. Choose another --out")
-    for name in plan:
-        if before.get(name) != plan[name]:
-            raise ValueError(
-                f"{folder}: {name}: expected {before.get(name)} as for what is in it, got {plan[name]}. "
-                "Choose another --out"
-            )
+    claim(folder, plan)
 
 
 def _gathered(

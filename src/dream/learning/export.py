@@ -85,17 +85,30 @@ def as_onnx(student: torch.nn.Sequential) -> bytes:
         [helper.make_tensor_value_info(OUTPUT, float32, ["n", len(TURNS)])],
         [numpy_helper.from_array(values, name) for name, values in constants.items()],
     )
+    model = written(graph)
+    check(model, student)
+    return model
+
+
+def written(graph: Any) -> bytes:
+    """A file with that `onnx.GraphProto`; the same graph gives the same bytes.
+
+    Raises:
+        ValueError: It would be too large.
+    """
+    import onnx
+    from onnx import helper
+
     model = helper.make_model(
         graph, opset_imports=[helper.make_opsetid("", OPSET)], producer_name="dream", ir_version=IR
     )
     onnx.checker.check_model(model, full_check=True)
-    written: bytes = model.SerializeToString(deterministic=True)
-    if len(written) > MOST_BYTES:
+    content: bytes = model.SerializeToString(deterministic=True)
+    if len(content) > MOST_BYTES:
         raise ValueError(
-            f"model: expected at most {MOST_BYTES} bytes, got {len(written)}. Take a smaller network"
+            f"model: expected at most {MOST_BYTES} bytes, got {len(content)}. Take a smaller network"
         )
-    check(written, student)
-    return written
+    return content
 
 
 def check(model: bytes, student: torch.nn.Sequential) -> float:

@@ -8,6 +8,7 @@ you would take a program.
 from __future__ import annotations
 
 import hashlib
+import json
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -226,6 +227,19 @@ def checked_bytes(
     if not OPSETS[0] <= version <= OPSETS[1]:
         raise ValueError(f"model: expected opset {OPSETS[0]} to {OPSETS[1]}, got {version}. Export it again")
     return model, found
+
+
+def sha256_of(card: Path) -> str:
+    """Of the network, as its card says.
+
+    Raises:
+        ValueError: It does not.
+    """
+    try:
+        digest = json.loads(card.read_text(encoding="utf-8"))["sha256"]
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise ValueError(f"card: expected the network's sha256 in {card}, got none ({error})") from error
+    return str(digest)
 
 
 class Network:

@@ -7,7 +7,6 @@ down the ray goes, how wide the view is. So the scale of its depth comes from al
 from __future__ import annotations
 
 import hashlib
-import json
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dream.perception.flat_floor import rays
+from dream.perception.flat_floor import Rays, rays
 from dream.perception.placing import nearest, placed, resampled
 from dream.perception.repeats import Repeats
 from dream.perception.view import View
@@ -144,7 +143,7 @@ class Sight:
         # A depth between that of what is in front and that of what is behind would be neither.
         ratio, error = nearest(depth, frame, rgb.shape)
         with np.errstate(over="ignore"):
-            metres = floor_along_axis(view) * np.exp(np.clip(ratio, -6.0, 6.0))
+            metres = floor_along_axis(rays(view)) * np.exp(np.clip(ratio, -6.0, 6.0))
             near = 1.0 - np.exp(-math.log(KNOWN_TO) * np.exp(-np.clip(error, -8.0, 8.0)))
         lost = ~(np.isfinite(ratio) & np.isfinite(error))
         return (
@@ -164,7 +163,7 @@ def opened(path: str | Path | None = None, *, threads: int = 1) -> Network:
     Raises:
         ValueError: See `Sight`.
     """
-    from dream.perception.onnx import Network
+    from dream.perception.onnx import Network, sha256_of
 
     if path is None:
         network = Network(
@@ -185,19 +184,6 @@ def opened(path: str | Path | None = None, *, threads: int = 1) -> Network:
             f"{', '.join(network.outputs)[:200]}"
         )
     return network
-
-
-def sha256_of(card: Path) -> str:
-    """Of the network, as its card says.
-
-    Raises:
-        ValueError: It does not.
-    """
-    try:
-        digest = json.loads(card.read_text(encoding="utf-8"))["sha256"]
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise ValueError(f"card: expected the network's sha256 in {card}, got none ({error})") from error
-    return str(digest)
 
 
 def file_sha256(path: str | Path) -> str:
@@ -235,18 +221,17 @@ def planes(view: View | None) -> Float32Array:
         return found
     there = _at_input(view)
     looks, camera = rays(there), there.camera
-    found[0, 0] = 1.0 / (1.0 + 0.5 * floor_along_axis(there)) - 0.4
+    found[0, 0] = 1.0 / (1.0 + 0.5 * floor_along_axis(looks)) - 0.4
     found[0, 1] = looks.down / np.hypot(looks.down, looks.ahead)
     found[0, 2] = 0.5 * camera.width / camera.fx - 0.8
     return found
 
 
-def floor_along_axis(view: View) -> Float32Array:
+def floor_along_axis(looks: Rays) -> Float32Array:
     """(H, W) metres along the optical axis to the flat floor, between `NEAREST` and `FARTHEST`.
 
     The latter above the horizon, too.
     """
-    looks = rays(view)
     down = np.maximum(looks.down, 1e-3)
     depth = np.where(looks.down > 1e-3, np.float32(looks.height) / down, np.float32(FARTHEST))
     return np.clip(depth, NEAREST, FARTHEST).astype(np.float32)

@@ -14,6 +14,7 @@ import numpy as np
 from dream.geometry import SE2, SE3, Camera
 from dream.protocol import Grain, SensorNoise
 from dream.sim.render import Frame
+from dream.sim.render.scene import linear_from_srgb
 from dream.sim.sampling import MILLIMETRE, index, length, normals, poisson, uniform
 from dream.sim.world import BoolArray, Float32Array, Int32Array, UInt8Array, World
 from dream.types import Label
@@ -48,8 +49,7 @@ def grainy(rgb: UInt8Array, grain: Grain, rng: np.random.Generator) -> UInt8Arra
 
     from PIL import Image
 
-    coded = np.arange(256) / 255.0
-    linear = np.where(coded <= 0.04045, coded / 12.92, ((coded + 0.055) / 1.055) ** 2.4)[rgb]
+    linear = linear_from_srgb(rgb)
     sigma = np.sqrt(linear / grain.photons + grain.reading**2)
     light = np.clip(linear + sigma * normals(rng, linear.shape), 0.0, 1.0)
     coded = np.where(

@@ -3,13 +3,31 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dream.commands.progress import Stage, stage
+from dream.errors import MissionAborted
 
 if TYPE_CHECKING:
     from dream.learning.curriculum import Progress
+
+
+def done(work: Generator[Progress, None, None], out: Path) -> None:
+    """Do all of it, and tell of each part.
+
+    Raises:
+        MissionAborted: It was interrupted; the message says that the same command goes on.
+    """
+    try:
+        with contextlib.closing(work):
+            for _ in shown(work):
+                pass
+    except KeyboardInterrupt:
+        raise MissionAborted(
+            f"aborted: interrupted; what is done is kept in {out}, and the same command goes on from there"
+        ) from None
 
 
 def shown(work: Iterator[Progress]) -> Iterator[Progress]:

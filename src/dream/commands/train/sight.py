@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import sys
 from dataclasses import dataclass
@@ -10,8 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from dream.commands.console import check_writable, print_json
-from dream.commands.train.parts import shown
-from dream.errors import MissionAborted
+from dream.commands.train.parts import done
 from dream.options import First
 from dream.telling import rich_console
 
@@ -58,15 +56,7 @@ class TrainSight:
         making = Making(self.albums, self.seed, training=SightTraining(batches=self.batches, seed=self.seed))
         engine = Processes(self.jobs)
         check_writable(self.out)
-        try:
-            with contextlib.closing(make(making, self.out, engine, self.device)) as work:
-                for _ in shown(work):
-                    pass
-        except KeyboardInterrupt:
-            raise MissionAborted(
-                f"aborted: interrupted; what is done is kept in {self.out}, "
-                "and the same command goes on from there"
-            ) from None
+        done(make(making, self.out, engine, self.device), self.out)
         card = json.loads((self.out / CARD).read_text(encoding="utf-8"))
         if self.json:
             print_json({"out": str(self.out), "card": card})

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import sys
 from dataclasses import dataclass
@@ -11,8 +10,7 @@ from typing import Any
 
 from dream.commands.console import check_writable, print_json
 from dream.commands.progress import stage
-from dream.commands.train.parts import shown
-from dream.errors import MissionAborted
+from dream.commands.train.parts import done
 from dream.options import First
 from dream.protocol import DREAM_V1
 from dream.telling import rich_console
@@ -81,15 +79,7 @@ class TrainUivnav:
         check_writable(self.out)
         if self.lerobot is not None:
             lerobot.check_possible(self.lerobot)
-        try:
-            with contextlib.closing(learn(curriculum, self.out, engine, self.device)) as work:
-                for _ in shown(work):
-                    pass
-        except KeyboardInterrupt:
-            raise MissionAborted(
-                f"aborted: interrupted; what is done is kept in {self.out}, "
-                "and the same command goes on from there"
-            ) from None
+        done(learn(curriculum, self.out, engine, self.device), self.out)
         card = json.loads((self.out / CARD).read_text(encoding="utf-8"))
         if self.lerobot is not None:
             episodes = (

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from dream.learning.export import IR, OPSET, check_installed
+from dream.learning.export import check_installed, written
 from dream.learning.network import import_torch
 from dream.learning.sight.network import COARSE, Layer, LayerKind, Shape
 from dream.perception.sight import DEPTH, FEATURES, GRID, HEIGHT, LABELS, PICTURE, VIEW, WIDTH
@@ -16,7 +16,6 @@ from dream.types import Float32Array, Label
 if TYPE_CHECKING:
     from torch.nn import Module
 
-MOST_BYTES = 3_000_000
 AGREES = 1e-3
 """By how much, at most, the file's answers may differ from PyTorch's: scores of some tens."""
 
@@ -33,8 +32,8 @@ def as_onnx(shape: Shape, network: Module) -> bytes:
     from onnx import helper, numpy_helper
 
     constants: dict[str, npt.NDArray[Any]] = {}
-    written = [layer for layer in shape.layers() if layer.name != COARSE]
-    nodes = [node for layer in written for node in _nodes(layer, network, constants, helper)]
+    kept = [layer for layer in shape.layers() if layer.name != COARSE]
+    nodes = [node for layer in kept for node in _nodes(layer, network, constants, helper)]
     float32 = onnx.TensorProto.FLOAT
     sizes = {
         PICTURE: (3, HEIGHT, WIDTH),
@@ -51,17 +50,9 @@ def as_onnx(shape: Shape, network: Module) -> bytes:
         [tell[LABELS], tell[DEPTH], tell[FEATURES]],
         [numpy_helper.from_array(values, name) for name, values in constants.items()],
     )
-    model = helper.make_model(
-        graph, opset_imports=[helper.make_opsetid("", OPSET)], producer_name="dream", ir_version=IR
-    )
-    onnx.checker.check_model(model, full_check=True)
-    content: bytes = model.SerializeToString(deterministic=True)
-    if len(content) > MOST_BYTES:
-        raise ValueError(
-            f"model: expected at most {MOST_BYTES} bytes, got {len(content)}. Take a smaller network"
-        )
-    check(content, network)
-    return content
+    model = written(graph)
+    check(model, network)
+    return model
 
 
 def _nodes(layer: Layer, network: Module, constants: dict[str, npt.NDArray[Any]], helper: Any) -> list[Any]:

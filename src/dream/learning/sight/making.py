@@ -17,6 +17,7 @@ from dream.evaluation.engines import Engine
 from dream.evaluation.locks import alone_at
 from dream.evaluation.machine import libraries
 from dream.files import write_whole
+from dream.learning.claims import claim
 from dream.learning.curriculum import Progress
 from dream.learning.export import check_installed
 from dream.learning.network import import_torch
@@ -104,22 +105,7 @@ def _claim(folder: Path, making: Making) -> None:
         digest.update((Path(__file__).parent / name).read_bytes())
     made_by = {"version": __version__, "code": digest.hexdigest(), **libraries(), "torch": version("torch")}
     plan = json.loads(json.dumps({**made_by, **asdict(making)}))
-    path = folder / "plan.json"
-    try:
-        before = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        write_whole(path, (json.dumps(plan, indent=2) + "\n").encode())
-        return
-    except ValueError:
-        before = None
-    if not isinstance(before, dict):
-        raise ValueError(f"{path}: expected one JSON object, got damaged text. Choose another --out")
-    for name in plan:
-        if before.get(name) != plan[name]:
-            raise ValueError(
-                f"{folder}: {name}: expected {before.get(name)} as for what is in it, got {plan[name]}. "
-                "Choose another --out"
-            )
+    claim(folder, plan)
 
 
 def _options(making: Making) -> list[str]:

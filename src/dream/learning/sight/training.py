@@ -162,15 +162,20 @@ def planes(given: SightLesson) -> Tensor:
     return torch.where(known.unsqueeze(1), stacked, torch.zeros_like(stacked))
 
 
-def _view(given: SightLesson) -> tuple[Tensor, Tensor]:
-    """(n, H, W) share of each metre along the ray that leads down, and metres to the flat floor."""
+def _view(given: SightLesson, every: int = 1) -> tuple[Tensor, Tensor]:
+    """(n, h, w) share of each metre along the ray that leads down, and metres to the flat floor.
+
+    Of every so many pixels, from the middle of the first of them.
+    """
     torch = import_torch()
     device = given.rgb.device
     fx, fy, cx, cy = (given.camera[:, k].view(-1, 1, 1) for k in range(4))
-    right = ((torch.arange(given.rgb.shape[3], device=device) + 0.5).view(1, 1, -1) - cx) / fx
-    below = ((torch.arange(given.rgb.shape[2], device=device) + 0.5).view(1, -1, 1) - cy) / fy
-    sinks = (given.down[:, k].view(-1, 1, 1) for k in range(3))
-    x, y, z = sinks
+    cols, rows = (
+        torch.arange(every // 2, side, every, device=device) + 0.5
+        for side in (given.rgb.shape[3], given.rgb.shape[2])
+    )
+    right, below = (cols.view(1, 1, -1) - cx) / fx, (rows.view(1, -1, 1) - cy) / fy
+    x, y, z = (given.down[:, k].view(-1, 1, 1) for k in range(3))
     down = x * right + y * below + z
     straight = torch.sqrt(1.0 + right**2 + below**2)
     floor = given.altitude.view(-1, 1, 1) / down.clamp(min=1e-3)
@@ -211,8 +216,7 @@ def _missed(scores: Tensor, truth: Tensor) -> Tensor:
 def _logarithms(depth: Tensor, given: SightLesson) -> tuple[Tensor, Tensor]:
     """(n, h, w): that of true depth over the floor's, NaN where there is none; and how far off it is."""
     torch = import_torch()
-    _, floor = _view(given)
-    floor = floor[:, FINER // 2 :: FINER, FINER // 2 :: FINER]
+    _, floor = _view(given, FINER)
     ratio = torch.log(given.depth / floor)
     return ratio, torch.where(torch.isfinite(ratio), depth[:, 0] - ratio, torch.zeros_like(ratio))
 

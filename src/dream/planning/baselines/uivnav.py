@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import math
 import zlib
 from dataclasses import dataclass
@@ -100,24 +99,14 @@ def opened(weights: str | None = None) -> Policy:
     Raises:
         ValueError: It is too large, damaged, not as its card says, or has other inputs or outputs.
     """
-    from dream.perception.onnx import Network
+    from dream.perception.onnx import Network, sha256_of
 
     if weights is None:
-        digest = _digest(SHIPPED.with_suffix(".json"))
+        digest = sha256_of(SHIPPED.with_suffix(".json"))
         network = Network(SHIPPED, most=MOST_BYTES, sha256=digest, extra="learned")
     else:
         network = Network(weights, most=MOST_BYTES, extra="learned")
     return Policy(network)
-
-
-def _digest(card: Path) -> str:
-    """SHA-256 of the network, as its card says."""
-    try:
-        said = json.loads(card.read_text(encoding="utf-8"))
-        digest = said["sha256"]
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise ValueError(f"card: expected the network's sha256 in {card}, got none ({error})") from error
-    return str(digest)
 
 
 class Policy:
