@@ -130,4 +130,5 @@ def _integrate(occupancy: OccupancyMap, observation: Observation) -> None:
         observation.camera,
         observation.T_world_camera,
         observation.confidence,
+        observation.error,
     )

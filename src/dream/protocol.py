@@ -433,7 +433,6 @@ DREAM_V2_NAV = replace(DREAM_V2, name="dream-v2-nav", swims=True)
 DREAM_V2_SEEN = replace(
     DREAM_V2,
     name="dream-v2-seen",
-    lasting=replace(DREAM_V2.lasting, depth=0.1) if DREAM_V2.lasting is not None else None,
     seen=Grain(photons=4000.0, reading=0.003, quality=90),
 )
 """`dream-v2` from colours alone: a network tells labels and depth."""

@@ -58,7 +58,11 @@ class Observation:
     T_world_base: SE3
     T_base_camera: SE3
     confidence: Float32Array | None = None
-    """(H, W) probability that depth and label are right; None where all are taken for right."""
+    """(H, W) probability that depth and label are right, where nothing returns that the label is; None where
+    all are taken for right."""
+    error: Float32Array | None = None
+    """(H, W) mean of the logarithm, without its sign, of depth over truth, NaN where there is no depth; None
+    where depths err as the protocol says."""
 
     def __post_init__(self) -> None:
         self.camera.scaled(max(1, len(self.rgb) // self.camera.height)).check(self.rgb, "rgb")
@@ -68,6 +72,10 @@ class Observation:
             self.camera.check(self.confidence, "confidence")
             if not (self.confidence.min() >= 0.0 and self.confidence.max() <= 1.0):
                 raise ValueError("confidence: expected probabilities in [0, 1], got others")
+        if self.error is not None:
+            self.camera.check(self.error, "error")
+            if (self.error < 0.0).any():
+                raise ValueError("error: expected 0 or more, or NaN, got less")
 
     @property
     def T_world_camera(self) -> SE3:

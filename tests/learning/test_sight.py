@@ -16,7 +16,7 @@ from dream.geometry import SE3, Camera  # noqa: E402
 from dream.learning.sight import making as whole  # noqa: E402
 from dream.learning.sight.export import as_onnx  # noqa: E402
 from dream.learning.sight.making import Making, make  # noqa: E402
-from dream.learning.sight.network import COARSE, Shape  # noqa: E402
+from dream.learning.sight.network import CELLS, COARSE, FAINT, Shape, contrast  # noqa: E402
 from dream.learning.sight.pictures import PICTURE, Album, draw, opened  # noqa: E402
 from dream.learning.sight.training import SightTraining, fit, losses, marks, planes  # noqa: E402
 from dream.learning.sight.waters import lesson  # noqa: E402
@@ -108,6 +108,45 @@ def test_where_neither_pose_nor_altitude_is_known_nothing_is_told(pictures: Any)
     unknown = torch.isnan(given.altitude)
     assert 0.0 < float(unknown.float().mean()) < 0.4
     assert (planes(given)[unknown] == 0.0).all()
+
+
+def test_contrast_is_what_a_plain_loop_over_cells_gives() -> None:
+    rng = np.random.default_rng(1)
+    picture = rng.random((1, 3, HEIGHT, WIDTH)).astype(np.float32) * np.linspace(
+        0.2, 1.0, WIDTH, dtype=np.float32
+    )
+    found = contrast(torch.from_numpy(picture), 3).numpy()
+    # In the middle of a cell of 16 by 16 pixels nothing is interpolated but between two pixels about it.
+    rows, cols = HEIGHT // CELLS[0], WIDTH // CELLS[1]
+    for row, col in ((4, 7), (0, 0), (14, 19)):
+        around = picture[
+            0, :, rows * max(row - 1, 0) : rows * (row + 2), cols * max(col - 1, 0) : cols * (col + 2)
+        ]
+        at = (rows * row + rows // 2, cols * col + cols // 2)
+        off = picture[0, :, at[0], at[1]] - around.mean((1, 2))
+        np.testing.assert_allclose(found[0, :, at[0], at[1]], off / (around.std((1, 2)) + FAINT), atol=0.1)
+
+
+def test_contrast_tells_the_same_in_a_veil(pictures: Any) -> None:
+    """A veil halves all differences and adds light; where more than noise is left, contrast stays."""
+    clear = torch.from_numpy(pictures["rgb"].transpose(0, 3, 1, 2).copy()).float() / 255.0
+    veiled = 0.5 * clear + 0.4
+    for cells in (3, 9):
+        one, other = contrast(clear, cells), contrast(veiled, cells)
+        seen = one.abs() > 1.0
+        ratio = (other[seen] / one[seen]).numpy()
+        assert np.quantile(ratio, 0.01) > 0.5
+        assert 0.8 < np.median(ratio) <= np.quantile(ratio, 0.99) < 1.1
+
+
+def test_a_training_begins_with_the_colours_of_the_world() -> None:
+    """At first sand that is grey stays so, but for water; last it has stains and tints."""
+
+    def spread(hard: float) -> float:
+        given = lesson(plain(1.0, 48), 11, plain=True, hard=hard)
+        return float(given.rgb.float().std((2, 3)).mean())
+
+    assert spread(0.0) < spread(1.0)
 
 
 def test_it_learns_what_is_plain_and_says_how_sure_it_is(tmp_path: Path) -> None:

@@ -129,7 +129,15 @@ class Twin:
         axes = [(np.arange(n) + a + 0.5) * self.cell for a, n in zip(self.low, self.size, strict=True)]
         return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
 
-    def integrate(self, depth: Array, labels: Array, camera: Camera, T: SE3, sure: Array | None) -> None:
+    def integrate(
+        self,
+        depth: Array,
+        labels: Array,
+        camera: Camera,
+        T: SE3,
+        sure: Array | None,
+        error: Array | None,
+    ) -> None:
         protocol, cell = self.protocol, self.cell
         scatter = protocol.noise.depth if protocol.noise else 0.0
         bias = protocol.lasting.depth if protocol.lasting else 0.0
@@ -137,12 +145,14 @@ class Twin:
         z = depth.astype(np.float64)
         valid = (z >= protocol.returns[0]) & (z <= protocol.returns[1])
         through = ~(z < protocol.returns[0]) & (labels == Label.WATER)
-        clear = np.where(valid, z - scatter * z**2 - bias * z, np.where(through, np.inf, 0.0))
-        clear[2 * weight < 16] = 0.0
-        clear = clear.astype(np.float32)
-        trusted = valid & (2 * weight >= 16)
+        off = bias if error is None else 1.0 - np.exp(-3.0 * error)
+        clear = np.where(valid, z - scatter * z**2 - off * z, np.where(through, np.inf, 0.0))
+        trusted = (2 * weight >= 16) | (valid & (error is not None))
+        clear = np.where(trusted, np.maximum(clear, 0.0), 0.0).astype(np.float32)
+        trusted &= valid
         facing = self._facing(np.where(trusted, 1.0 / z, np.nan), camera)
-        self.sees = max(self.sees, self._farthest(clear, camera))
+        sees = self._farthest(clear, camera)
+        self.sees = max(self.sees, sees)
         # What returned, voxel by voxel.
         farthest = min(KEPT * protocol.reach, protocol.max_depth)
         points = camera.back_project(z, T)
@@ -170,7 +180,8 @@ class Twin:
         held = hits[..., 0] > noisy * HELD * covered * 16
         believed = hits[..., 0] > noisy * BELIEVED * covered * 16
         # What a ray passed.
-        passed = self._passed(clear, camera, T, min(farthest, self.sees)) & ~held
+        limit = min(farthest, self.sees if error is None else sees)
+        passed = self._passed(clear, camera, T, limit) & ~held
         self.odds[passed] = np.maximum(self.odds[passed] - MISS, LEAST)
         step = np.maximum((HIT * cell / np.maximum(2.0 * scatter * ahead**2, cell)).astype(int), 1)
         self.odds = np.where(believed, np.minimum(self.odds + step, MOST), self.odds)
@@ -258,9 +269,10 @@ def test_a_volume_is_what_a_plain_twin_makes_of_the_same_frames(seed: int) -> No
         T = pose(x, y, z, yaw=rng.uniform(-0.8, 0.8), tilt=rng.uniform(-0.3, 0.9))
         depth, labels = render(things, T, camera, far=5.0)
         depth += protocol.noise.depth * depth**2 * rng.standard_normal(depth.shape) if protocol.noise else 0.0
-        sure = rng.uniform(size=depth.shape) if k == 3 else None
-        volume.integrate(depth, labels, camera, T, sure)
-        twin.integrate(depth, labels, camera, T, sure)
+        sure = rng.uniform(size=depth.shape) if k >= 3 else None
+        error = np.where(np.isnan(depth), np.nan, rng.uniform(0.0, 0.2, depth.shape)) if k == 4 else None
+        volume.integrate(depth, labels, camera, T, sure, error)
+        twin.integrate(depth, labels, camera, T, sure, error)
     points = twin.middles.reshape(-1, 3)
     slots, numbers = volume._look_up(points)
     held = volume._bricks
@@ -447,6 +459,38 @@ def test_water_without_a_return_is_free_as_far_as_anything_ever_returned() -> No
     told._sees = 20.0
     told.integrate(nothing[0], np.ones((120, 160), np.uint8), CAMERA, up)
     assert told.box is None
+
+
+def test_a_ray_clears_as_far_as_its_depth_is_sure_to_reach_whatever_returned() -> None:
+    view = pose(0.0, 0.0, -5.0)
+    depth, labels = render([plane((6.0, 0.0, 0.0), (-1.0, 0.0, 0.0))], view)
+    unsure = np.full(depth.shape, 0.2)
+    for mean, clear in ((0.01, 5.7), (0.1, 4.4), (0.4, 1.7), (math.nan, 0.0)):
+        volume = Volume(PROTOCOL)
+        volume.integrate(depth, labels, CAMERA, view, unsure, np.full(depth.shape, mean))
+        assert not clear or volume.state([[clear - 0.4, 0.0, -5.0]])[0] == FREE
+        assert volume.state([[clear + 0.4, 0.0, -5.0]])[0] != FREE
+    # Of the same pixels without an error none is sure enough.
+    doubted = Volume(PROTOCOL)
+    doubted.integrate(depth, labels, CAMERA, view, unsure)
+    assert doubted.state([[1.0, 0.0, -5.0]])[0] == UNKNOWN
+
+
+def test_where_depths_err_water_is_free_as_far_as_something_is_seen_in_the_same_frame() -> None:
+    volume, view, up = Volume(PROTOCOL), pose(0.0, 0.0, -8.0), pose(0.0, 0.0, -8.0, tilt=-1.2)
+    error = np.full((120, 160), 0.01)
+    depth, labels = render([plane((5.0, 0.0, 0.0), (-1.0, 0.0, 0.0))], view)
+    volume.integrate(depth, labels, CAMERA, view, np.ones(depth.shape), error)
+    nothing = np.full((120, 160), np.nan), np.zeros((120, 160), np.uint8)
+    volume.integrate(*nothing, CAMERA, up, np.ones((120, 160)), error)
+    assert volume.state([[1.0, 0.0, -5.0]])[0] == UNKNOWN
+    # A quarter of the picture shows something 2 m away: the rest is free to there, where it is surely water.
+    near = np.where(np.arange(160) < 40, np.float32(2.0), np.float32(np.nan)) * np.ones((120, 1), np.float32)
+    kinds = np.where(np.isnan(near), Label.WATER, Label.SEABED).astype(np.uint8)
+    for sure, state in ((0.3, UNKNOWN), (0.9, FREE)):
+        volume.integrate(near, kinds, CAMERA, up, np.full((120, 160), sure), error)
+        assert volume.state([[0.4, 0.0, -7.0]])[0] == state
+    assert volume.state([[1.0, 0.0, -5.0]])[0] == UNKNOWN
 
 
 def test_one_return_makes_solid_what_was_free_and_looks_clear_it_again() -> None:
@@ -822,6 +866,8 @@ def test_it_lies_anywhere() -> None:
         ({"labels": np.full((120, 160), -1)}, "labels: expected values of Label.* got -1"),
         ({"confidence": np.full((120, 160), 1.5)}, "confidence: expected probabilities"),
         ({"confidence": np.full((120, 160), np.nan)}, "confidence: expected probabilities"),
+        ({"error": np.full((120, 160), -0.1)}, "error: expected 0 or more"),
+        ({"error": np.full((2, 2), 0.1)}, "error: expected"),
         ({"T_world_camera": pose(1e12, 0.0, 0.0)}, "T_world_camera: expected finite places"),
     ],
 )

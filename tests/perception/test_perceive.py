@@ -51,6 +51,30 @@ class Far:
         return self.times * floor, np.where(np.isnan(floor), 0.0, self.sure).astype(np.float32)
 
 
+def test_how_far_a_depth_errs_is_what_its_confidence_says() -> None:
+    """Of a Laplace distribution with that mean error, so large a share lies within a tenth."""
+    rng = np.random.default_rng(4)
+    for sure in (0.2, 0.6, 0.95):
+        shows = Perception(Bright(), Far(1.0, sure)).perceive(np.zeros((24, 32, 3), np.uint8), LARGE_VIEW)
+        known = np.isfinite(shows.depth)
+        assert (np.isnan(shows.error) == ~known).all()
+        mean = float(shows.error[known][0])
+        drawn = np.abs(rng.laplace(0.0, mean, 20_000))
+        assert (drawn <= math.log(1.1)).mean() == pytest.approx(sure, abs=0.01)
+    sure_of_all = Perception(Bright(), Far(1.0, 1.0)).perceive(np.zeros((24, 32, 3), np.uint8), LARGE_VIEW)
+    assert np.nanmax(sure_of_all.error) == 0.0
+
+
+def test_water_is_as_sure_as_its_label() -> None:
+    class Blue:
+        def segment(self, rgb: UInt8Array, view: View | None = None) -> tuple[UInt8Array, Float32Array]:
+            return np.zeros(rgb.shape[:2], np.uint8), np.full(rgb.shape[:2], 0.7, np.float32)
+
+    shows = Perception(Blue(), FlatFloor()).perceive(np.zeros((24, 32, 3), np.uint8), LARGE_VIEW)
+    assert (shows.confidence == np.float32(0.7)).all()
+    assert np.isnan(shows.depth).all()
+
+
 @pytest.mark.parametrize("times", [3.0, 0.3, 1.3])
 def test_depth_of_which_nobody_is_sure_is_none_and_it_is_said_how_far_off_it_is(times: float) -> None:
     black = np.zeros((24, 32, 3), np.uint8)

@@ -140,6 +140,22 @@ def test_observations_share_no_memory(flown: tuple[list[Step], Path]) -> None:
     assert same(robot.observe(), flown[0][0].observation)
 
 
+def test_how_sure_a_picture_was_is_kept_with_it(flown: tuple[list[Step], Path], tmp_path: Path) -> None:
+    seen, rng = flown[0][0].observation, np.random.default_rng(2)
+    told = replace(
+        seen,
+        confidence=rng.random(seen.labels.shape).astype(np.float32),
+        error=np.where(np.isnan(seen.depth), np.nan, rng.random(seen.labels.shape)).astype(np.float32),
+    )
+    write(tmp_path / "0000.npz", Kept(None, told))
+    again = read(tmp_path / "0000.npz").observation
+    assert same(again, told)
+    np.testing.assert_array_equal(again.confidence, told.confidence)
+    np.testing.assert_array_equal(again.error, told.error)
+    with pytest.raises(ValueError, match="error: expected 0 or more"):
+        replace(told, error=-np.ones(seen.labels.shape, np.float32))
+
+
 def test_a_robot_is_asked_once_a_move(string_reef: World, tmp_path: Path) -> None:
     asked: list[str] = []
 
@@ -220,6 +236,7 @@ def _with(**changes: Any) -> Callable[[dict[str, Any]], None]:
         _with(truth=np.column_stack([np.ones((3, 3)), np.zeros(3)])),
         _with(travelled=np.full(3, np.nan)),
         _with(labels=np.array([{}], dtype=object)),
+        _with(error=np.full((240, 320), -1.0, np.float32)),
     ],
 )
 def test_a_damaged_file_is_named(archive: Path, harm: Callable[[dict[str, Any]], None]) -> None:

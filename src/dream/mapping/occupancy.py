@@ -194,6 +194,7 @@ class OccupancyMap(Layers):
         camera: Camera,
         T_world_camera: SE3,
         confidence: npt.NDArray[Any] | None = None,
+        error: npt.NDArray[Any] | None = None,
     ) -> None:
         """Add one frame. The inputs are not changed.
 
@@ -214,6 +215,8 @@ class OccupancyMap(Layers):
             confidence: (H, W) float, the probability in [0, 1] that depth and label of a pixel are right: by
                 so much it counts, in sixteenths, and not at all where it is 0. All are sure where None. With
                 labels of integers only, since probabilities have their own.
+            error: (H, W) float, see `Observation.error`; counts in space, where None depths err as the
+                protocol says.
 
         Raises:
             ValueError: The images do not fit the camera, labels are not labels, or the camera is farther away
@@ -222,7 +225,7 @@ class OccupancyMap(Layers):
         depth, labels = np.asarray(depth), np.asarray(labels)
         _check_frame(depth, labels, camera)
         if self.protocol.space is not None:
-            self._integrate_in_space(depth, labels, camera, T_world_camera, confidence)
+            self._integrate_in_space(depth, labels, camera, T_world_camera, confidence, error)
             return
         if confidence is not None:
             labels = unsure(labels.astype(np.uint8), _checked_confidence(confidence, labels, camera))
@@ -252,6 +255,7 @@ class OccupancyMap(Layers):
         camera: Camera,
         T_world_camera: SE3,
         confidence: npt.NDArray[Any] | None,
+        error: npt.NDArray[Any] | None,
     ) -> None:
         """Add one frame to the volume; the camera sits at the vehicle's centre, which came there straight."""
         if self.volume is None:
@@ -261,7 +265,7 @@ class OccupancyMap(Layers):
         place = T_world_camera.translation
         self.volume.clear_body(place if self._place is None else self._place, place)
         self._place = place.copy()
-        self.volume.integrate(depth, labels, camera, T_world_camera, confidence)
+        self.volume.integrate(depth, labels, camera, T_world_camera, confidence, error)
         if math.isnan(self._datum):
             self._datum = float(place[2]) - self.protocol.altitude
         self._look_from_above(*place.tolist())

@@ -163,6 +163,7 @@ class Volume:
         camera: Camera,
         T_world_camera: SE3,
         confidence: npt.NDArray[Any] | None = None,
+        error: npt.NDArray[Any] | None = None,
     ) -> None:
         """Add one frame. The inputs are not changed.
 
@@ -178,6 +179,8 @@ class Volume:
             T_world_camera: Where the optical frame was.
             confidence: (H, W) the probability in [0, 1] that depth and label of a pixel are right: by so much
                 it counts, and below ½ it clears nothing. All are sure where None.
+            error: (H, W) see `Observation.error`. A ray clears as far as its depth is sure to reach, however
+                sure its label is; and water no farther than anything is seen in the same frame.
 
         Raises:
             ValueError: The images do not fit the camera, labels are not labels, or the camera is farther away
@@ -186,6 +189,12 @@ class Volume:
         from dream.mapping._kernels import volume_frame as kernels
 
         depth, labels, weights = _checked(depth, labels, camera, confidence, kernels.WEIGHT)
+        errors = np.zeros((0, 0), np.float32)
+        if error is not None:
+            errors = np.ascontiguousarray(error, np.float32)
+            camera.check(errors, "error")
+            if (errors < 0.0).any():
+                raise ValueError("error: expected 0 or more, or NaN, got less")
         place = T_world_camera.translation
         self._check_place("T_world_camera", place)
         lens = kernels.FrameLens(
@@ -199,11 +208,12 @@ class Volume:
         count = math.prod(window[1].tolist())
         scratch = self._scratch_for(depth.shape, count)
         water, target = int(Label.WATER), int(Label.TARGET)
-        self._sees = max(self._sees, kernels.read(depth, labels, weights, water, lens, rule, scratch))
+        sees = kernels.read(depth, labels, weights, errors, water, lens, rule, scratch)
+        self._sees = max(self._sees, sees)
         found, hit = kernels.mark(depth, labels, weights, target, lens, rule, window, scratch)
         self._reserve(count, hit)
         self.revision += 1
-        limit = min(self._farthest, self._sees)
+        limit = min(self._farthest, self._sees if error is None else sees)
         kernels.settle(self._bricks, lens, rule, window, scratch, found, limit, self.revision)
 
     def clear(self, centre: npt.ArrayLike, radius: float) -> None:

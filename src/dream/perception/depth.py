@@ -18,6 +18,8 @@ LEAST_BELIEVED = 1.0 / 32.0
 """Confidence below which a depth is none: half of the least weight that a map knows."""
 FEWEST = 100
 """Pixels of floor that a fit, or a share, is made of."""
+KNOWN_TO = 1.1
+"""The confidence in a depth is the probability that it is right to within this factor."""
 NEAR_ENOUGH = 0.1
 """Share of the floor's depth within which a pixel agrees with it."""
 
@@ -50,8 +52,8 @@ class DepthModel(Protocol):
             view: Where it was taken.
 
         Returns:
-            (H, W) float32 metres along the optical axis, NaN where unknown; and (H, W) float32 in [0, 1],
-            0 where the depth is NaN.
+            (H, W) float32 metres along the optical axis, NaN where unknown; and (H, W) float32 in [0, 1]: the
+            probability that each is right to within the factor `KNOWN_TO`, 0 where the depth is NaN.
         """
 
 
@@ -119,7 +121,9 @@ class Perceived:
     labels: UInt8Array
     """(H, W) values of `Label`."""
     confidence: Float32Array
-    """(H, W) in both, the lesser of the two; 0 where there is no depth."""
+    """(H, W) in both, the lesser of the two; in the label where that is water; else 0 where no depth is."""
+    error: Float32Array
+    """(H, W) mean of the logarithm, without its sign, of depth over truth, NaN where there is no depth."""
     account: Account
 
 
@@ -180,7 +184,15 @@ class Perception:
                 against=checked.against,
                 doubt="; ".join(filter(None, (account.doubt, checked.doubt))),
             )
-        return Perceived(kept, labels, confidence, account)
+        confidence = np.where((labels == Label.WATER) & seen, sure, confidence)
+        return Perceived(kept, labels, confidence, _error(kept, near), account)
+
+
+def _error(depth: Float32Array, near: Float32Array) -> Float32Array:
+    """(H, W) see `Perceived.error`: that of a Laplace distribution, by the probability to be near."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        error = -math.log(KNOWN_TO) / np.log1p(-near.astype(np.float64))
+    return np.where(np.isfinite(depth), error, np.nan).astype(np.float32)
 
 
 def _floor(view: View) -> tuple[Float32Array, BoolArray]:

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from dream.perception.depth import KNOWN_TO
 from dream.perception.flat_floor import Rays, rays
 from dream.perception.placing import nearest, placed, resampled
 from dream.perception.repeats import Repeats
@@ -38,8 +39,6 @@ of `Label`; (1, 2, h, w) logarithms of depth over that of the flat floor, and of
 a Laplace distribution); (1, 72, h, w) what it makes of the picture before that."""
 NEAREST, FARTHEST = 0.15, 30.0
 """Metres along the optical axis that the flat floor is taken to lie between."""
-KNOWN_TO = 1.1
-"""The confidence in a depth is the probability that it is right to within this factor."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

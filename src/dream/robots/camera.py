@@ -131,6 +131,7 @@ class SimulatedCamera:
             T_world_base=T_world_base,
             T_base_camera=mount,
             confidence=shows.confidence,
+            error=shows.error,
         )
 
     def _frame(self, T_world_camera: SE3, moves: int) -> Frame:

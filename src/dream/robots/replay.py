@@ -224,6 +224,8 @@ def write(path: Path, kept: Kept) -> None:
     }
     if seen.confidence is not None:
         arrays["confidence"] = seen.confidence
+    if seen.error is not None:
+        arrays["error"] = seen.error
     if kept.move is not None:
         to, arrival = kept.move.setpoint, kept.move.arrival
         arrays |= {
@@ -266,6 +268,7 @@ def _kept(arrays: Arrays) -> Kept:
         T_world_base=_transform(arrays, "T_world_base"),
         T_base_camera=_transform(arrays, "T_base_camera"),
         confidence=_typed(arrays, "confidence", np.float32) if "confidence" in arrays else None,
+        error=_typed(arrays, "error", np.float32) if "error" in arrays else None,
     )
     if "setpoint" not in arrays:
         return Kept(None, seen)
@@ -338,13 +341,14 @@ def _png(rgb: UInt8Array) -> bytes:
 
 
 def _copied(seen: Observation) -> Observation:
-    confidence = None if seen.confidence is None else seen.confidence.copy()
+    confidence, error = (None if x is None else x.copy() for x in (seen.confidence, seen.error))
     return replace(
         seen,
         rgb=seen.rgb.copy(),
         depth=seen.depth.copy(),
         labels=seen.labels.copy(),
         confidence=confidence,
+        error=error,
     )
 
 

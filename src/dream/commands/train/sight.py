@@ -23,7 +23,7 @@ class TrainSight:
     worlds. `sight.onnx` is the network, `sight.json` its card. Try it with
     `dream dive --see sight/sight.onnx`.
 
-    With its defaults it makes the network that comes with DREAM: some three hours on two cores and 4 GB of
+    With its defaults it makes the network that comes with DREAM: some eighty minutes on two cores, 4 GB of
     pictures, or minutes on a GPU. It never learns from a world of a suite. After an interruption the same
     command goes on, from at most ten minutes before.
 
@@ -36,7 +36,7 @@ class TrainSight:
     """Folder of the pictures, the network and its card."""
     albums: First[int] = 16
     """Files of pictures to learn from, of 40 worlds with ten views each."""
-    batches: First[int] = 8000
+    batches: First[int] = 2900
     """That it learns from: of 48 pictures at half the size, then of 16."""
     seed: First[int] = 0
     """Seed of all that is drawn. The same seed on the same machine gives the same network."""

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from dream.learning.export import check_installed, written
 from dream.learning.network import import_torch
-from dream.learning.sight.network import COARSE, Layer, LayerKind, Shape
+from dream.learning.sight.network import CELLS, COARSE, FAINT, Layer, LayerKind, Shape
 from dream.perception.sight import DEPTH, FEATURES, GRID, HEIGHT, LABELS, PICTURE, VIEW, WIDTH
 from dream.types import Float32Array, Label
 
@@ -58,6 +58,10 @@ def as_onnx(shape: Shape, network: Module) -> bytes:
 def _nodes(layer: Layer, network: Module, constants: dict[str, npt.NDArray[Any]], helper: Any) -> list[Any]:
     """The operators of one layer; its weights go into the constants."""
     name, inputs = layer.name, list(layer.inputs)
+    if layer.operator is LayerKind.CONTRAST:
+        return _contrast(layer, constants, helper)
+    if layer.operator is LayerKind.GREY:
+        return [helper.make_node("ReduceMean", inputs, [name], axes=[1], keepdims=1)]
     if layer.operator is LayerKind.JOIN:
         return [helper.make_node("Concat", inputs, [name], axis=1)]
     if layer.operator is LayerKind.MEAN:
@@ -88,6 +92,47 @@ def _nodes(layer: Layer, network: Module, constants: dict[str, npt.NDArray[Any]]
     if layer.rectified:
         nodes.append(helper.make_node("Relu", [outputs[-2]], [name]))
     return nodes
+
+
+def _contrast(layer: Layer, constants: dict[str, npt.NDArray[Any]], helper: Any) -> list[Any]:
+    """What `network.contrast` computes, of a picture of the size that is written."""
+    name, (picture,), node = layer.name, layer.inputs, helper.make_node
+    channels = 3 if picture == PICTURE else 1
+    cells = [HEIGHT // CELLS[0], WIDTH // CELLS[1]]
+    pad = layer.kernel // 2
+    constants |= {
+        f"{name}_size": np.array([1, channels, HEIGHT, WIDTH], np.int64),
+        f"{name}_faint": np.array(FAINT, np.float32),
+        f"{name}_least": np.array(FAINT**2, np.float32),
+    }
+
+    def around(of: str, to: str) -> list[Any]:
+        over = {"kernel_shape": [layer.kernel] * 2, "strides": [1, 1], "pads": [pad] * 4}
+        return [
+            node("AveragePool", [of], [f"{to}_cells"], kernel_shape=cells, strides=cells),
+            node("AveragePool", [f"{to}_cells"], [to], count_include_pad=0, **over),
+        ]
+
+    def fine(of: str, to: str) -> Any:
+        options = {"mode": "linear", "coordinate_transformation_mode": "half_pixel"}
+        return node("Resize", [of, "", "", f"{name}_size"], [to], **options)
+
+    mean, square, spread = f"{name}_mean", f"{name}_square", f"{name}_spread"
+    return [
+        *around(picture, mean),
+        node("Mul", [picture, picture], [f"{square}d"]),
+        *around(f"{square}d", square),
+        node("Mul", [mean, mean], [f"{mean}_squared"]),
+        node("Sub", [square, f"{mean}_squared"], [f"{spread}_squared"]),
+        node("Max", [f"{spread}_squared", f"{name}_least"], [f"{spread}_raised"]),
+        node("Sqrt", [f"{spread}_raised"], [spread]),
+        node("Add", [spread, f"{name}_faint"], [f"{name}_over"]),
+        node("Reciprocal", [f"{name}_over"], [f"{name}_gain"]),
+        fine(mean, f"{name}_mean_there"),
+        fine(f"{name}_gain", f"{name}_gain_there"),
+        node("Sub", [picture, f"{name}_mean_there"], [f"{name}_differs"]),
+        node("Mul", [f"{name}_differs", f"{name}_gain_there"], [name]),
+    ]
 
 
 def _size(name: str) -> tuple[int, int]:

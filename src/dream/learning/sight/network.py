@@ -20,6 +20,10 @@ if TYPE_CHECKING:
     from torch.nn import Module, ModuleDict
 
 
+CELLS = 15, 20
+"""Rows and columns of the grid on which means around a pixel are taken, whatever the picture's size."""
+FAINT = 0.01
+"""Added to a spread: noise of so much is not made larger than what is seen."""
 COARSE = "coarse_labels"
 """Scores of labels at a quarter of the picture, which are learned beside the others and not written."""
 
@@ -27,7 +31,9 @@ COARSE = "coarse_labels"
 class LayerKind(StrEnum):
     """What a layer does."""
 
+    CONTRAST = "differences from the mean around, over the spread around"
     CONV = "convolution"
+    GREY = "mean over the channels"
     JOIN = "channels side by side"
     MEAN = "mean over the picture"
     REPEAT = "as fine as another, by repeating"
@@ -44,6 +50,7 @@ class Layer:
     channels: int = 0
     """That come out of a convolution, or of repeating."""
     kernel: int = 3
+    """Of a convolution in pixels, of a contrast in cells."""
     stride: int = 1
     normed: bool = True
     """Whether a batch norm follows the convolution."""
@@ -58,11 +65,13 @@ class Layer:
 class Shape:
     """How large the network is.
 
-    What it does: an encoder halves the picture five times, with a residual block (He et al., CVPR 2016) at
-    each of the last three sizes; a top-down path with lateral connections (feature pyramid: Lin et al., CVPR
-    2017) brings what is seen at large back to a quarter of the picture, where the depth is told; labels are
-    told at full size, from half of it by pixel shuffle (Shi et al., CVPR 2016), and while it learns at a
-    quarter too. The mean over the coarsest layer tells the path what water and light are like.
+    What it does: beside the picture stands the contrast with what is around, of colours near and of grey wide
+    (local contrast normalization: Jarrett et al., ICCV 2009), which water and light change little. An encoder
+    halves the picture five times, with a residual block (He et al., CVPR 2016) at each of the last three
+    sizes; a top-down path with lateral connections (feature pyramid: Lin et al., CVPR 2017) brings what is
+    seen at large back to a quarter of the picture, where the depth is told; labels are told at full size,
+    from half of it by pixel shuffle (Shi et al., CVPR 2016), and while it learns at a quarter too. The mean
+    over the coarsest layer tells the path what water and light are like.
     """
 
     encoder: tuple[int, int, int, int, int] = (16, 32, 56, 88, 112)
@@ -79,10 +88,13 @@ class Shape:
 
     def layers(self) -> list[Layer]:
         """The table, in an order in which it can be run."""
-        conv, join = LayerKind.CONV, LayerKind.JOIN
+        contrast, conv, join = LayerKind.CONTRAST, LayerKind.CONV, LayerKind.JOIN
         half, quarter, *deeper = self.encoder
         table = [
-            Layer("input", join, (PICTURE, VIEW)),
+            Layer("near", contrast, (PICTURE,), kernel=3),
+            Layer("grey", LayerKind.GREY, (PICTURE,)),
+            Layer("wide", contrast, ("grey",), kernel=9),
+            Layer("input", join, (PICTURE, "near", "wide", VIEW)),
             Layer("e1", conv, ("input",), half, stride=2),
             Layer("e2a", conv, ("e1",), quarter, stride=2),
             Layer("e2", conv, ("e2a",), quarter),
@@ -141,6 +153,8 @@ class Shape:
                 widths[layer.name] = taken
                 if layer.operator is LayerKind.SHUFFLE:
                     widths[layer.name] = taken // 4
+                if layer.operator is LayerKind.GREY:
+                    widths[layer.name] = 1
                 if layer.operator is not LayerKind.CONV:
                     continue
                 widths[layer.name] = layer.channels
@@ -178,8 +192,13 @@ def _module(table: list[Layer], parts: ModuleDict) -> Module:
 def _run(layer: Layer, inputs: list[Tensor], found: Mapping[str, Tensor], parts: ModuleDict) -> Tensor:
     torch = import_torch()
     functional = torch.nn.functional
-    if layer.operator is LayerKind.JOIN:
-        out: Tensor = torch.cat(inputs, 1)
+    out: Tensor
+    if layer.operator is LayerKind.CONTRAST:
+        out = contrast(inputs[0], layer.kernel)
+    elif layer.operator is LayerKind.GREY:
+        out = inputs[0].mean(1, keepdim=True)
+    elif layer.operator is LayerKind.JOIN:
+        out = torch.cat(inputs, 1)
     elif layer.operator is LayerKind.MEAN:
         out = inputs[0].mean((2, 3), keepdim=True)
     elif layer.operator is LayerKind.REPEAT:
@@ -193,3 +212,27 @@ def _run(layer: Layer, inputs: list[Tensor], found: Mapping[str, Tensor], parts:
         if layer.rectified:
             out = functional.relu(out)
     return out
+
+
+def contrast(picture: Tensor, cells: int) -> Tensor:
+    """Differences of each pixel from the mean of so many cells around, over the spread in them.
+
+    Args:
+        picture: (n, k, H, W) as of `CELLS`, whole pixels to a cell.
+        cells: Odd, along each side of what is around.
+    """
+    functional = import_torch().nn.functional
+    rows, cols = picture.shape[2] // CELLS[0], picture.shape[3] // CELLS[1]
+
+    def around(values: Tensor) -> Tensor:
+        within = functional.avg_pool2d(values, (rows, cols))
+        averaged: Tensor = functional.avg_pool2d(within, cells, 1, cells // 2, count_include_pad=False)
+        return averaged
+
+    def fine(grid: Tensor) -> Tensor:
+        resized: Tensor = functional.interpolate(grid, size=picture.shape[2:], mode="bilinear")
+        return resized
+
+    mean = around(picture)
+    spread = (around(picture * picture) - mean * mean).clamp(min=FAINT**2).sqrt()
+    return (picture - fine(mean)) * fine(1.0 / (spread + FAINT))

@@ -20,7 +20,8 @@ from dream.learning.sight.network import COARSE
 from dream.learning.sight.pictures import opened
 from dream.learning.sight.waters import FINER, SightLesson, lesson
 from dream.learning.training import hash_of
-from dream.perception.sight import DEPTH, FARTHEST, KNOWN_TO, LABELS, NEAREST
+from dream.perception.depth import KNOWN_TO
+from dream.perception.sight import DEPTH, FARTHEST, LABELS, NEAREST
 from dream.types import Label
 
 if TYPE_CHECKING:
@@ -52,7 +53,7 @@ class SightTraining:
     in clear water, last as pictures come.
     """
 
-    batches: int = 8000
+    batches: int = 2900
     coarse: float = 0.6
     """Share of the batches that come first, at half the size: a quarter of the work a picture. Waters get
     murkier all along it."""

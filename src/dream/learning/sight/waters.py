@@ -33,7 +33,7 @@ JERLOV = (
 beyond 5C."""
 VISIBILITIES = 2.2, 28.0
 """Metres, evenly between their logarithms."""
-EASY = 12.0
+EASY = 24.0
 """Metres: the least visibility that a training begins with."""
 VANISHED = 0.03
 """Share of the direct light, or of what is seen against the haze, below which a thing is lost."""
@@ -113,7 +113,8 @@ def lesson(
         device: Where to compute.
         plain: Leave out what makes pictures harder to learn from than they come: mirrors, unknown poses.
         shrunk: So many pixels along each side become one.
-        hard: 0 where water is no murkier than `EASY`, 1 where it is as murky as it comes.
+        hard: 0 where water is no murkier than `EASY`, without snow or blur, and things have the colours of
+            their worlds; 1 where all is as hard as it comes.
     """
     torch = import_torch()
     generator = torch.Generator(device=device).manual_seed(seed)
@@ -142,11 +143,11 @@ def lesson(
     up = torch.einsum("nj,njhw->nhw", rotation[:, 2], beam_rays).unsqueeze(1) / straight.unsqueeze(1)
 
     light = _linear(told["rgb"], device).permute(0, 3, 1, 2).contiguous()
-    light = _recoloured(light, labels, points, draw)
+    light = _recoloured(light, labels, points, hard, draw)
     light, left = _under_water(light, away, z, right, below, up, hard, draw)
-    light = _snowed(light, draw)
+    light = _snowed(light, hard, draw)
     light = _exposed(light, draw)
-    light = _blurred(light, draw)
+    light = _blurred(light, hard, draw)
     edge = (right**2 + below**2).unsqueeze(1) / (right[:, :1, -1:] ** 2 + below[:, -1:, :1] ** 2).unsqueeze(1)
     light = light * (1.0 - draw.uniform(0.0, 0.5) * edge).clamp(0.2, 1.0)
     rgb = _recorded(light, draw)
@@ -196,17 +197,17 @@ def _encoded(light: Tensor) -> Tensor:
     return found
 
 
-def _recoloured(light: Tensor, labels: Tensor, points: Tensor, draw: _Draw) -> Tensor:
+def _recoloured(light: Tensor, labels: Tensor, points: Tensor, hard: float, draw: _Draw) -> Tensor:
     """Other colours and brightness for each label; waves and patches that are fixed in the world."""
     count = len(light)
     change = draw.normal(0.35, 4, 3) * draw.uniform(0.0, 1.0, 1, 1)
     change = change + draw.normal(0.35, 4, 1) * draw.uniform(0.0, 1.0, 1, 1)
-    factors = change.exp().gather(1, labels.long().view(count, -1, 1).expand(-1, -1, 3))
+    factors = (hard * change).exp().gather(1, labels.long().view(count, -1, 1).expand(-1, -1, 3))
     light = light * factors.permute(0, 2, 1).view(light.shape)
     waves = _pattern(points, draw) * draw.uniform(0.0, 0.35) * draw.chance(0.6)
-    patches = (_pattern(points, draw) * draw.log_uniform(1.0, 12.0)).tanh() * draw.chance(0.4)
-    stain = draw.normal(0.3, 3, 1, 1) + draw.normal(0.35)
-    return light * (waves + patches * stain).exp()
+    patches = (_pattern(points, draw) * draw.log_uniform(1.0, 12.0)).tanh() * draw.chance(0.2)
+    stain = draw.normal(0.2, 3, 1, 1) + draw.normal(0.25)
+    return light * (hard * (waves + patches * stain)).exp()
 
 
 def _pattern(points: Tensor, draw: _Draw) -> Tensor:
@@ -288,10 +289,10 @@ def _clouds(light: Tensor, cells: int, draw: _Draw) -> Tensor:
     return found
 
 
-def _snowed(light: Tensor, draw: _Draw) -> Tensor:
+def _snowed(light: Tensor, hard: float, draw: _Draw) -> Tensor:
     """Flakes in front of it, sharp ones or, being near, blurred ones."""
     torch = import_torch()
-    share = draw.log_uniform(1e-6, 1.2e-3) * draw.chance(0.6)
+    share = draw.log_uniform(1e-6, 1.2e-3) * draw.chance(0.6 * hard)
     flakes = (draw.uniform(0.0, 1.0, 1, *light.shape[2:]) < share).float()
     flakes = flakes * draw.uniform(0.0, 1.0, 1, *light.shape[2:])
     spot = light.new_tensor([[0.1, 0.4, 0.1], [0.4, 1.0, 0.4], [0.1, 0.4, 0.1]]).view(1, 1, 3, 3)
@@ -311,10 +312,10 @@ def _exposed(light: Tensor, draw: _Draw) -> Tensor:
     return light * (balance * draw.normal(0.06, 3, 1, 1).exp()).clamp(0.3, 4.0)
 
 
-def _blurred(light: Tensor, draw: _Draw) -> Tensor:
+def _blurred(light: Tensor, hard: float, draw: _Draw) -> Tensor:
     """Half of the pictures, in one batch of two, out of focus."""
     torch = import_torch()
-    if not draw.coin(0.5):
+    if not draw.coin(0.5 * hard):
         return light
     sigma = float(draw.uniform(0.4, 1.6)[0, 0, 0, 0])
     line = torch.exp(-0.5 * (torch.arange(-3, 4, device=light.device) / sigma) ** 2)

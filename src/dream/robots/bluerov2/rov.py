@@ -194,6 +194,7 @@ class BlueRov2:
             T_world_base=T_world_base,
             T_base_camera=self._T_base_camera,
             confidence=shows.confidence,
+            error=shows.error,
         )
 
     def go_to(self, setpoint: Setpoint) -> Arrival:
