@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import collections
 import contextlib
 import errno
 import hashlib
@@ -930,6 +931,33 @@ def test_an_interrupt_that_somebody_swallowed_is_not_lost() -> None:
         with pytest.raises(KeyboardInterrupt):
             check()
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def interrupted_in(module: str) -> None:
+    """As Ctrl-C while a function of that module runs."""
+    exec("signal.raise_signal(signal.SIGINT)", {"__name__": module, "signal": signal})
+
+
+def test_an_interrupt_of_what_calls_kernels_waits_for_the_end_of_the_step() -> None:
+    with kept_interrupts(between_steps=True) as check:
+        interrupted_in("dream.planning.lookahead")
+        with pytest.raises(KeyboardInterrupt):
+            check()
+        with pytest.raises(KeyboardInterrupt):  # Whoever presses again does not want to wait.
+            interrupted_in("dream.planning.lookahead")
+    with kept_interrupts(between_steps=True) as check:
+        # As while the named tuple is made that a kernel returns.
+        made_in = collections.namedtuple("Returned", "value").__new__.__globals__["__name__"]
+        inner = {"__name__": made_in, "signal": signal}
+        call = "exec('signal.raise_signal(signal.SIGINT)', inner)"
+        exec(call, {"__name__": "dream.planning.lookahead", "inner": inner})
+        with pytest.raises(KeyboardInterrupt):
+            check()
+    for module in ("dream.planning.vlm.asking.line", "dream.commands.run", "httpx"):
+        with pytest.raises(KeyboardInterrupt), kept_interrupts(between_steps=True):
+            interrupted_in(module)
+    with pytest.raises(KeyboardInterrupt), kept_interrupts():
+        interrupted_in("dream.planning.lookahead")
 
 
 def interrupts(*_: object, **__: object) -> None:

@@ -113,12 +113,8 @@ def test_dream_v2_is_the_noisy_one_in_space_with_errors_that_last() -> None:
     )
 
 
-def test_by_sight_is_dream_v2_whose_maps_reckon_with_worse_depths() -> None:
-    seen, lasting = protocol_named("dream-v2-seen"), DREAM_V2.lasting
-    assert lasting is not None
-    worse = replace(lasting, depth=0.1)
-    assert replace(seen, name="dream-v2", seen=None, lasting=lasting) == DREAM_V2
-    assert seen.lasting == worse
+def test_by_sight_is_dream_v2_but_for_who_tells_labels_and_depth() -> None:
+    assert replace(protocol_named("dream-v2-seen"), name="dream-v2", seen=None) == DREAM_V2
     assert [p.name for p in PROTOCOLS.values() if p.seen is not None] == ["dream-v2-seen"]
 
 

@@ -29,6 +29,8 @@ if TYPE_CHECKING:
     from dream.sim.world import World
 
 PICTURES = (".png", ".jpg", ".jpeg", ".webp")
+COMPUTES = ("dream.evaluation.", "dream.mapping.", "dream.perception.", "dream.planning.", "dream.sim.")
+"""Modules of the package that call kernels; see `kept_interrupts`."""
 WITH_WORLD = ("run", "fly", "dive", "mission", "bench", "oracle", "draw")
 """Commands with the option `--world`."""
 
@@ -208,7 +210,9 @@ class _Scores:
 
 
 @contextlib.contextmanager
-def kept_interrupts(again: Callable[[float], bool] = lambda since: True) -> Iterator[Callable[[], None]]:
+def kept_interrupts(
+    again: Callable[[float], bool] = lambda since: True, *, between_steps: bool = False
+) -> Iterator[Callable[[], None]]:
     """A check to call between steps: it raises the KeyboardInterrupt that compiled code swallowed.
 
     A SIGTERM that nobody else handles counts as an interrupt, too.
@@ -218,6 +222,8 @@ def kept_interrupts(again: Callable[[float], bool] = lambda since: True) -> Iter
 
     Args:
         again: Whether an interrupt counts that comes so many seconds after the one before.
+        between_steps: Let the first that comes while the package computes wait for the check: raised while
+            the tuple is made that a kernel returns, it ends the process.
     """
     came: KeyboardInterrupt | None = None
     last = -math.inf
@@ -228,7 +234,10 @@ def kept_interrupts(again: Callable[[float], bool] = lambda since: True) -> Iter
         since, last = now - last, now
         if came is not None and not again(since):
             return
+        first = came is None
         came = came or KeyboardInterrupt(*([TERMINATED] if number == signal.SIGTERM else []))
+        if first and between_steps and frame is not None and _computes(frame):
+            return
         raise KeyboardInterrupt(*came.args)
 
     def check() -> None:
@@ -251,6 +260,15 @@ def kept_interrupts(again: Callable[[float], bool] = lambda since: True) -> Iter
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+def _computes(frame: FrameType) -> bool:
+    """Is it code that calls kernels, or that makes what one returns, and waits for nothing and nobody?"""
+    at: FrameType | None = frame
+    name = ""
+    while at is not None and (not name or name.startswith(("namedtuple_", "numba."))):
+        name, at = str(at.f_globals.get("__name__", "")), at.f_back
+    return name.startswith(COMPUTES) and not name.startswith("dream.planning.vlm")
 
 
 @contextlib.contextmanager

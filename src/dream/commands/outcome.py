@@ -32,7 +32,7 @@ TRACEBACK = "traceback.txt"
 def fly_to_end(recorded: Generator[Step, None, None], title: str, total: int) -> BaseException | None:
     """Fly a mission to its end; returns what stopped it before, since what was flown is kept then too."""
     try:
-        with contextlib.closing(recorded), kept_interrupts() as check:
+        with contextlib.closing(recorded), kept_interrupts(between_steps=True) as check:
             warned = False
             for step in with_progress(recorded, title, total, "steps", at_most=True):
                 check()
