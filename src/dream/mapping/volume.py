@@ -20,7 +20,7 @@ from dream.mapping._kernels import volume as bricks_kernels
 from dream.mapping._kernels.volume import SIDE, VOXELS, Bricks
 from dream.mapping.blocks import grown
 from dream.protocol import SurveyProtocol
-from dream.types import BoolArray, IntArray, Label, UInt8Array
+from dream.types import BoolArray, Float32Array, IntArray, Label, UInt8Array
 
 KEPT = 1.5
 """Times the reach: how far returns are kept, and rays clear. What returns from beyond reach is a hint."""
@@ -188,13 +188,7 @@ class Volume:
         """
         from dream.mapping._kernels import volume_frame as kernels
 
-        depth, labels, weights = _checked(depth, labels, camera, confidence, kernels.WEIGHT)
-        errors = np.zeros((0, 0), np.float32)
-        if error is not None:
-            errors = np.ascontiguousarray(error, np.float32)
-            camera.check(errors, "error")
-            if (errors < 0.0).any():
-                raise ValueError("error: expected 0 or more, or NaN, got less")
+        depth, labels, weights, errors = _checked(depth, labels, camera, confidence, error, kernels.WEIGHT)
         place = T_world_camera.translation
         self._check_place("T_world_camera", place)
         lens = kernels.FrameLens(
@@ -622,9 +616,10 @@ def _checked(
     labels: npt.NDArray[Any],
     camera: Camera,
     confidence: npt.NDArray[Any] | None,
+    error: npt.NDArray[Any] | None,
     weight: int,
-) -> tuple[npt.NDArray[np.float32], UInt8Array, UInt8Array]:
-    """The images in the types that the kernels know, and the pixels' weights."""
+) -> tuple[Float32Array, UInt8Array, UInt8Array, Float32Array]:
+    """The images in the types that the kernels know, the pixels' weights, and the errors of their depths."""
     depth, labels = np.asarray(depth), np.asarray(labels)
     for name, image in (("depth", depth), ("labels", labels)):
         if image.ndim != 2:
@@ -645,4 +640,10 @@ def _checked(
         if not (sure.min() >= 0.0 and sure.max() <= 1.0):
             raise ValueError("confidence: expected probabilities in [0, 1], got others")
         weights = np.rint(weight * sure).astype(np.uint8)
-    return np.ascontiguousarray(depth, np.float32), np.ascontiguousarray(labels, np.uint8), weights
+    errors = np.zeros((0, 0), np.float32)
+    if error is not None:
+        errors = np.ascontiguousarray(error, np.float32)
+        camera.check(errors, "error")
+        if (errors < 0.0).any():
+            raise ValueError("error: expected 0 or more, or NaN, got less")
+    return np.ascontiguousarray(depth, np.float32), np.ascontiguousarray(labels, np.uint8), weights, errors
