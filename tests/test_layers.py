@@ -29,7 +29,7 @@ LAYERS = [
     {"perception", "mapping"},
     {"planning", "control", "estimation", "sim"},
     {"robots"},
-    {"approach", "course"},
+    {"approach", "course", "homeward"},
     {"mission"},
     {"recording", "evaluation", "report", "live", "survey"},
     {"learning", "teaching"},

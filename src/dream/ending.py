@@ -12,9 +12,17 @@ from dream.errors import MissionAborted, PlannerFailed
 
 WORDS: Mapping[str, str] = {
     "done": "the planner held the mission to be complete and its map agreed",
+    "returned": "it went home, since what was left had to be kept for the way",
     "cap": "all steps that it was given are spent",
 }
 """Of a mission that ended by itself, by `Step.ended`."""
+ENDED: Mapping[str, str] = {
+    "done": "done",
+    "returned": "returned",
+    "cap": "out of steps",
+    "aborted": "aborted",
+}
+"""In a word or two, by `RunSummary.ended`."""
 MOST = 600
 """Characters of a reason; of a longer one the middle is left out."""
 FULL = os.strerror(errno.ENOSPC)

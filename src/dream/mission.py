@@ -13,6 +13,7 @@ from typing import Protocol
 from dream.compiling import working_time
 from dream.control import guard, setpoint
 from dream.course import Course, Planner
+from dream.homeward import Budget, Homeward
 from dream.mapping import OccupancyMap, check_completion
 from dream.mapping.prior import Prior
 from dream.orders import Orders, everything
@@ -50,13 +51,15 @@ def explore(
     target: Target = Target.ANY,
     orders: Orders | None = None,
     prior: Prior | None = None,
+    budget: Budget | None = None,
 ) -> Iterator[Step]:
     """Run one mission, yielding after every decision; the planner begins at once.
 
-    The first step yielded, with index 0, is the first look, before anything was decided. The last
-    one says how the mission ended: `done` when the planner said so and the map's completion check
-    agreed, `cap` when the steps were spent. A `done` that the check refuses costs a step. Of several legs
-    the last one ends the mission.
+    The first step yielded, with index 0, is the first look, before anything was decided. The last one says
+    how the mission ended: `done` when the planner said so and the map's completion check agreed, `cap` when
+    the steps were spent. A `done` that the check refuses costs a step. Of several legs the last one ends the
+    mission. With a budget the mission ends at home: `done` where it was complete before, `returned` where it
+    had to turn round. So does one whose vehicle tells of trouble.
 
     Args:
         robot: Carries out the moves.
@@ -67,36 +70,49 @@ def explore(
         orders: What the operator orders; to map everything where None.
         prior: What an earlier survey holds of the same ground, on the map's cells; only the planner hears of
             it, and only one that can use it does.
+        budget: What it may spend until it is home; None where it need not go home.
 
     Returns:
         The steps; the map of each is the live one.
 
     Raises:
-        ValueError: The planner cannot begin, or the prior does not fit the map; nothing has moved yet.
+        ValueError: The planner cannot begin, the prior does not fit the map, or no mission can keep to the
+            budget; nothing has moved yet.
     """
     protocol = occupancy.protocol
     if prior is not None:
         prior.check_fits(occupancy.bounds, protocol.cell)
+    if budget is not None:
+        budget.check(occupancy.bounds, protocol)
     orders = everything(target) if orders is None else orders
     cap = protocol.cap if max_steps is None else max_steps
     cap = cap if orders.max_steps is None else min(cap, orders.max_steps)
     course = Course(planner, orders, occupancy, cap, prior)
-    return _steps(robot, course, occupancy, cap)
+    return _steps(robot, course, occupancy, cap, budget)
 
 
-def _steps(robot: Robot, course: Course, occupancy: OccupancyMap, cap: int) -> Iterator[Step]:
+def _steps(
+    robot: Robot, course: Course, occupancy: OccupancyMap, cap: int, budget: Budget | None
+) -> Iterator[Step]:
     protocol = occupancy.protocol
-    observation = robot.observe()
+    observation = first = robot.observe()
     occupancy.clear_launch(observation.pose.x, observation.pose.y, observation.z)
     _integrate(occupancy, observation)
     waiting = Decision()
     here = Arrival(observation.pose, collided=False, distance=0.0, clearance=math.inf)
     ended = "" if cap > 0 else "cap"
-    yield Step(0, waiting, Guarded(waiting), here, observation, occupancy, ended=ended, leg=course.leg)
+    homeward = None if budget is None else Homeward.of(budget, observation, cap)
+    home = None if homeward is None else homeward.after(observation, occupancy, 0)
+    yield Step(
+        0, waiting, Guarded(waiting), here, observation, occupancy, ended=ended, leg=course.leg, home=home
+    )
 
     for index in range(1, cap + 1):
         began = working_time()
-        decision = _look_around() if index <= LOOK_AROUND else course.decide(observation, index - 1)
+        if homeward is not None and homeward.why:
+            decision = homeward.move(observation, occupancy)
+        else:
+            decision = _look_around() if index <= LOOK_AROUND else course.decide(observation, index - 1)
         planner_s = working_time() - began
 
         open_region = ""
@@ -104,13 +120,36 @@ def _steps(robot: Robot, course: Course, occupancy: OccupancyMap, cap: int) -> I
         if decision.done and protocol.space is None:
             open_region = check_completion(occupancy, observation.pose).open_region
         guarded = guard(decision, observation.pose, occupancy, protocol, observation.z)
+        if homeward is not None and not homeward.affords(guarded.decision, observation, occupancy, index - 1):
+            decision = homeward.move_instead(decision, observation, occupancy)
+            guarded = guard(decision, observation.pose, occupancy, protocol, observation.z)
         arrival = robot.go_to(setpoint(observation.pose, guarded.decision, protocol, observation.z))
-        observation = robot.observe()
+        before, observation = observation, robot.observe()
         _integrate(occupancy, observation)
-        leg = course.after(index, done=decision.done and not open_region)
+        if not course.over:
+            leg = course.after(index, done=decision.done and not open_region)
         ended = "done" if course.over else "cap" if index == cap else ""
+        if homeward is None and observation.trouble:
+            homeward = Homeward.of(Budget(), first, cap)
+        if homeward is not None:
+            homeward.learn(guarded.decision, before, arrival, observation)
+            home = homeward.after(observation, occupancy, index, complete=course.over)
+            if not (homeward.why and home.reached):
+                ended = "cap" if index == cap else ""
+            elif not course.over:
+                ended = "returned"
         yield Step(
-            index, decision, guarded, arrival, observation, occupancy, open_region, ended, planner_s, leg
+            index,
+            decision,
+            guarded,
+            arrival,
+            observation,
+            occupancy,
+            open_region,
+            ended,
+            planner_s,
+            leg,
+            home,
         )
         if ended:
             return

@@ -34,7 +34,7 @@ from dream.ending import WORDS
 from dream.files import whole_or_nothing
 from dream.geometry import SE2, Bounds
 from dream.protocol import ORDERED, SurveyProtocol, protocol_named
-from dream.types import Exchange, Float32Array, Label, Step, UInt8Array
+from dream.types import Exchange, Float32Array, Home, Label, Step, UInt8Array
 
 logger = logging.getLogger(__name__)
 
@@ -161,6 +161,24 @@ class RecordedExchange(_Recorded):
     expected: dict[str, Any] = Field(default_factory=dict)
 
 
+class RecordedBalance(_Recorded):
+    """What is left of something, and what of it the way home takes; see `types.Balance`."""
+
+    name: str
+    unit: str
+    left: float
+    way: float
+    margin: float
+
+
+class RecordedHome(_Recorded):
+    """How it stands with the way home; see `types.Home`."""
+
+    path: list[tuple[float, float, float]] | None
+    balances: list[RecordedBalance]
+    why: str
+
+
 class RecordedStep(_Recorded):
     """One line of `steps.jsonl`. SI units and radians; annotations stand beside the fields."""
 
@@ -181,7 +199,7 @@ class RecordedStep(_Recorded):
     map: dict[str, float]
     """Square metres of each layer."""
     open_region: str
-    ended: str = Field(pattern="^(done|cap)?$")
+    ended: str = Field(pattern="^(done|returned|cap)?$")
     why: str = ""
     """Why the mission ended with this step, in words (`dream.ending`); only in the last line, and empty where
     the program was killed."""
@@ -195,6 +213,8 @@ class RecordedStep(_Recorded):
     """Of the orders that it belongs to, by number."""
     truth: RecordedPose | None = None
     """Where the vehicle really was, as only a simulator knows; None where that is `pose`."""
+    home: RecordedHome | None = None
+    """None of a mission that need not go home."""
 
 
 class OrderedRules(_Recorded):
@@ -240,6 +260,8 @@ class RunConfig(_Recorded):
     """All parameters of a vehicle that swims (`robots.swimming.read_swimming`); None where none does."""
     orders: dict[str, Any] | None = None
     """What the operator ordered; to map everything where None."""
+    budget: dict[str, Any] | None = None
+    """What it may spend until it is home (`homeward.read_budget`); None where it need not go home."""
     words: str = ""
     """In which the operator said so; empty where they are not known."""
     understood: tuple[str, ...] = ()
@@ -285,7 +307,7 @@ class RunSummary(_Recorded):
     world_hash: str
     """Empty where there was no simulator."""
     planner: str
-    ended: Literal["done", "cap", "aborted"]
+    ended: Literal["done", "returned", "cap", "aborted"]
     why: str = ""
     """Why it ended, in words (`dream.ending`); empty in older files."""
     steps: int
@@ -307,6 +329,8 @@ class RunSummary(_Recorded):
     mission_s: float | None = None
     """On the mission's clock, waiting for answers included; None in older files."""
     vlm: dict[str, Any] | None
+    home: dict[str, Any] | None = None
+    """How it stood with the way home at the end; None of a mission that need not go home."""
     success: bool | None
     """None where no truth says what there was to see."""
 
@@ -508,9 +532,12 @@ def _line(step: Step, annotations: Mapping[str, Any]) -> str:
         asked=_asked(step.decision.exchanges),
         leg=1 if step.leg is None else step.leg.number,
         truth=None if truth is None else _pose(truth.se2, None if planar else float(truth.translation[2])),
+        home=None if step.home is None else _home(step.home),
         **annotations,
     )
     left_out: dict[str, Any] = {} if recorded.why else {"why": True}
+    if recorded.home is None:
+        left_out["home"] = True
     if planar:
         for name in ("pose", "truth", "decision", "guarded"):
             left_out[name] = {"z", "climb", "tilt"}
@@ -519,6 +546,11 @@ def _line(step: Step, annotations: Mapping[str, Any]) -> str:
 
 def _pose(pose: SE2, z: float | None = None, tilt: float | None = None) -> RecordedPose:
     return RecordedPose(x=pose.x, y=pose.y, yaw=pose.yaw, z=z, tilt=tilt)
+
+
+def _home(home: Home) -> RecordedHome:
+    balances = [RecordedBalance(**dataclasses.asdict(balance)) for balance in home.balances]
+    return RecordedHome(path=None if home.path is None else list(home.path), balances=balances, why=home.why)
 
 
 def _asked(exchanges: Sequence[Exchange]) -> RecordedAsked | None:
@@ -538,7 +570,9 @@ def _plain(value: Any) -> Any:
 def _write_pictures(step: Step, trail: list[tuple[float, float]], folder: Path) -> None:
     from dream.mapping.drawing import FOR_PEOPLE, draw_map
 
-    drawn = draw_map(step.occupancy, step.arrival.pose, trail, palette=FOR_PEOPLE)
+    pose, path = step.arrival.pose, None if step.home is None else step.home.path
+    home = None if path is None else [(pose.x, pose.y), *(place[:2] for place in path)]
+    drawn = draw_map(step.occupancy, pose, trail, home=home, palette=FOR_PEOPLE)
     seen = step.observation
     pictures = {
         f"frames/{step.index:04d}_rgb.png": Image.fromarray(seen.rgb),

@@ -26,6 +26,7 @@ import numpy as np
 from PIL import Image
 
 from dream.files import whole_or_nothing
+from dream.homeward import read_budget
 from dream.planning import PLANNERS
 from dream.recording import (
     LABEL_COLORS,
@@ -123,7 +124,7 @@ def of_protocol(config: RunConfig) -> dict[str, Any]:
         `inset`: Fields of `mapping.drawing.Inset`, and the legend; None where the run tells no bounds.
         `lattice`: Metres between the places where moves end; None where the vehicle ends them where it can.
     """
-    from dream.mapping.drawing import FOR_PEOPLE, OUTLINE, grid_spacing, inset
+    from dream.mapping.drawing import FOR_PEOPLE, OUTLINE, WAY_HOME, grid_spacing, inset
 
     try:
         protocol = config.rules
@@ -133,6 +134,8 @@ def of_protocol(config: RunConfig) -> dict[str, Any]:
     if config.bounds is None:
         return {"inset": None, "lattice": lattice}
     legend = [*FOR_PEOPLE.legend(protocol), *([(OUTLINE, "to be seen")] if config.orders else [])]
+    if config.budget:
+        legend.append((WAY_HOME, "way home"))
     told = {
         **asdict(inset(config.bounds, protocol)),
         "grid": grid_spacing(config.bounds),
@@ -156,6 +159,8 @@ def repeating_command(config: RunConfig) -> str:
         words += ["--start", str(config.start)]
     if config.max_steps is not None:
         words += ["--max-steps", str(config.max_steps)]
+    if config.budget is not None:
+        words += read_budget(config.budget).options
     if config.orders is not None:
         words += ["--mission", json.dumps(config.orders)]
     defaults = asdict(PLANNERS[config.planner]) if config.planner in PLANNERS else {}

@@ -64,6 +64,11 @@ class Observation:
     """(H, W) mean of the logarithm, without its sign, of depth over truth, NaN where there is no depth; None
     where depths err as the protocol says."""
 
+    drawn_wh: float | None = None
+    """Watt-hours that the vehicle has drawn from its battery so far; None where nobody measures that."""
+    trouble: str = ""
+    """What is wrong with the vehicle, so that it has to go home; empty where nothing is."""
+
     def __post_init__(self) -> None:
         self.camera.scaled(max(1, len(self.rgb) // self.camera.height)).check(self.rgb, "rgb")
         self.camera.check(self.depth, "depth")
@@ -305,6 +310,44 @@ class Arrival:
     believed is the true one."""
 
 
+@dataclass(frozen=True, slots=True)
+class Balance:
+    """How a mission stands with one thing that it spends, or may not run out of."""
+
+    name: str
+    """`time`, `battery` or `steps`."""
+    unit: str
+    left: float
+    """Of what it may spend."""
+    way: float
+    """That the way home takes, as expected."""
+    margin: float
+    """That it may take beyond."""
+
+    @property
+    def short(self) -> bool:
+        """May the way home take more than is left?"""
+        return self.way + self.margin > self.left
+
+
+@dataclass(frozen=True, slots=True)
+class Home:
+    """How a mission stands with its way home, after a step."""
+
+    path: tuple[tuple[float, float, float], ...] | None
+    """Where it leads over what is known to be free: x, y and z in metres, from here on; empty where it is
+    home, None where no way is known."""
+    balances: tuple[Balance, ...]
+    """What is left beside what the way takes; empty where no way is known."""
+    why: str = ""
+    """Why the mission goes home; empty while it does not."""
+
+    @property
+    def reached(self) -> bool:
+        """Is it there?"""
+        return self.path == ()
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Step:
     """One decision carried out. The paper's unit of time."""
@@ -321,8 +364,10 @@ class Step:
     open_region: str = ""
     """Why a `done` was refused; empty where none was, or where it was accepted."""
     ended: str = ""
-    """`done` or `cap` on the last step, else empty."""
+    """`done`, `returned` or `cap` on the last step, else empty."""
     planner_s: float = 0.0
     """Wall seconds that the planner took to decide, without those in which its code was compiled."""
     leg: Flown | None = None
     """The leg of the orders that it belongs to; None where it was made outside `mission.explore`."""
+    home: Home | None = None
+    """How it stands with the way home; None of a mission that need not go home."""

@@ -67,7 +67,8 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of a short run with orders, a site and a model."""
     where = tmp_path_factory.mktemp("run")
     write_mission(where / "half.json", "the western half", Orders((Leg(area=HALF),)))
-    line = ["run", "dream", "--model", "wire", "--world", "flat/empty", "--max-steps", "4", "--json"]
+    line = ["run", "dream", "--model", "wire", "--world", "flat/empty", "--max-steps", "16", "--json"]
+    line += ["--budget-s", "1000", "--battery-wh", "100"]
     given = {
         "--out": where / "runs",
         "--site": ROOT / "examples" / "site.json",
@@ -158,10 +159,10 @@ def test_every_picture_of_a_run_is_told(run: Path) -> None:
 def test_every_array_of_an_observation_is_told(run: Path, tmp_path: Path) -> None:
     told = described("observations/")
     with np.load(run / "observations" / "0003.npz") as arrays:
-        assert set(told) - set(arrays.files) == {"confidence", "error"}
+        assert set(told) - set(arrays.files) == {"confidence", "error", "trouble"}
     seen = painted_observation(1, SE2(0.0, 0.0, 0.0), np.random.default_rng(1))
     ones = np.ones_like(seen.depth)
-    sure = dataclasses.replace(seen, confidence=ones, error=ones)
+    sure = dataclasses.replace(seen, confidence=ones, error=ones, drawn_wh=1.0, trouble="a lamp is out")
     arrival = Arrival(SE2(0.0, 0.0, 0.0), False, 1.0, 2.0, truth=SE3.level(0.0, 0.0, 0.0, 0.0))
     replay.write(tmp_path / "0001.npz", Kept(Move(Setpoint(0.0, 0.0, 0.0, 2.0), arrival), sure))
     into_space = Setpoint(0.0, 0.0, 0.0, None, -8.0)

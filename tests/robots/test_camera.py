@@ -50,7 +50,7 @@ def look(
     world: World, protocol: SurveyProtocol, tilt: float = TILT, moves: int = 0
 ) -> tuple[Observation, SimulatedCamera]:
     camera = SimulatedCamera(world, protocol, world.starts[0], None, 1)
-    return camera.observe(1.0, moves, *poses(world), tilt), camera
+    return camera.observe(1.0, moves, *poses(world), tilt, 0.5), camera
 
 
 def test_by_sight_a_picture_is_checked_by_beams_and_by_those_before(string_reef: World) -> None:
@@ -66,7 +66,7 @@ def test_by_sight_a_picture_is_checked_by_beams_and_by_those_before(string_reef:
     told = Perception(Shells(), Flat(), Parallax())
     protocol = protocol_named("dream-v2-seen")
     camera = SimulatedCamera(string_reef, protocol, string_reef.starts[0], None, 1, told)
-    camera.observe(0.0, 0, *poses(string_reef), TILT)
+    camera.observe(0.0, 0, *poses(string_reef), TILT, 0.0)
     beams = views[0].beams
     assert beams is not None
     truth = poses(string_reef)[0]

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 
 from dream.commands.console import check_no_world, print_json, with_scores
+from dream.commands.homing import Homing
 from dream.commands.progress import stage
 from dream.commands.see import See, protocol_seen
 from dream.commands.swim import Swim
@@ -170,6 +171,7 @@ class Bench(Flying):
     out: First[Path | None] = None
     """Folder of the benchmark. Unless given, one in `bench`."""
     swim: Swim = field(default_factory=Swim)
+    homing: Homing = field(default_factory=Homing)
 
     def __call__(self) -> int:
         """Exit status 0; a MissionAborted where a mission failed or no answer of a model counted."""
@@ -184,7 +186,17 @@ class Bench(Flying):
         planners = self.chosen_planners(protocol)
         swimming = self.swim.chosen(protocol)
         sealing = sealed(blocks) if blocks else None
-        plan = Plan(name, cases, planners, protocol, self.max_steps, self.keep_runs, swimming, sealing)
+        plan = Plan(
+            name,
+            cases,
+            planners,
+            protocol,
+            max_steps=self.max_steps,
+            keep_runs=self.keep_runs,
+            swimming=swimming,
+            budget=self.homing.budget(),
+            sealed=sealing,
+        )
         default = self._folder(name) if sealing is None else f"{SEALED}-{sealing.key[:8]}"
         folder = self.out or Path("bench") / default
         outcome = fly(plan, folder, engine)

@@ -268,7 +268,8 @@ def _groups(kind: type, value: Any = None) -> Iterator[Group]:
 
 
 def _option(kind: type, one: Field[Any], typed: Any, marks: Sequence[Any], default: Any) -> Option:
-    name = f"--{one.name.replace('_', '-')}"
+    called = next((m for mark in marks if (m := getattr(mark, "name", None))), None) or one.name
+    name = f"--{called.replace('_', '-')}"
     positional = tyro.conf.Positional in marks
     metavar = next((m for mark in marks if (m := getattr(mark, "metavar", None))), None) or _metavar(typed)
     told = _told(kind, one.name)

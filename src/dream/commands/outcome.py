@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from dream.commands.console import kept_interrupts, price, print_json, tell_lost, told_without_answer
 from dream.commands.progress import stage, with_progress
-from dream.ending import also, reason
+from dream.ending import ENDED, also, reason
 from dream.errors import MissionAborted
 from dream.planning import AnyPlanner
 from dream.planning.vlm import WIRE_TEST, Asking, Ranked, stands_in
@@ -152,7 +152,7 @@ def _print_outcome(
     from dream.evaluation.metrics import MILESTONES
 
     coverage = summary["coverage"]
-    ended = {"done": "done", "cap": "out of steps", "aborted": "aborted"}[summary["ended"]]
+    ended = ENDED[summary["ended"]]
     times = ", ".join(
         f"{100 * share:g} % at {summary[mark]}"
         for mark, share in MILESTONES.items()
@@ -162,6 +162,8 @@ def _print_outcome(
     print(f"  {ended} after {summary['steps']} steps" + (", a success" if summary["success"] else ""))
     if summary["ended"] == "cap":
         print("  the mission was cut off there; --max-steps says where")
+    if summary["home"] is not None:
+        print(f"  {_home(summary['home'])}")
     if summary["ended"] == "aborted":
         print(f"  why: {summary['why']}")
     if steps:
@@ -202,6 +204,17 @@ def _print_outcome(
         print(f"  asked {planner.label}: nothing{why}")
     if page is not None:
         print(f"  report: {page}")
+
+
+def _home(home: Mapping[str, Any]) -> str:
+    """How it stood with the way home at the end, in a line."""
+    where = "home" if home["reached"] else "not home"
+    why = f", where it went since {home['why']}" if home["why"] else ""
+    units = {"steps": "steps", "time": "s", "battery": "Wh"}
+    left = ", ".join(
+        f"{home['left'][name]:.4g} {unit}" for name, unit in units.items() if name in home["left"]
+    )
+    return f"it is {where}{why}" + (f"; left of what it had: {left}" if left else "")
 
 
 def _asked(summary: Mapping[str, Any], done: str) -> str:

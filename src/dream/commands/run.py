@@ -20,6 +20,7 @@ from dream.commands.console import (
     open_world,
 )
 from dream.commands.ground import Ground
+from dream.commands.homing import Homing
 from dream.commands.mission import check_terminal, confirmed, draw_orders, given
 from dream.commands.outcome import fly_to_end, tell_outcome, write_scene_of
 from dream.commands.progress import stage
@@ -86,6 +87,7 @@ class Run:
     """Print the summary as one JSON object and nothing else."""
     ground: Ground = field(default_factory=Ground)
     swim: Swim = field(default_factory=Swim)
+    homing: Homing = field(default_factory=Homing)
 
     def __call__(self) -> int:
         """Exit status 0, or 1 where no answer of its model counted.
@@ -114,7 +116,7 @@ class Run:
         from dream.sim.ordered import protocol_in
         from dream.sim.render import Renderer
 
-        site = self.ground.where()
+        site, budget = self.ground.where(), self.homing.budget()
         if isinstance(self.planner, Asking):
             self.planner.line()  # What is missing to ask a model is told before anything compiles.
         began = working_time()
@@ -145,6 +147,7 @@ class Run:
                     renderer=renderer,
                     solids=visibility.solids,
                     prior=known.prior,
+                    budget=budget,
                 )
                 config = run_config(
                     world,
@@ -157,6 +160,7 @@ class Run:
                     orders=orders,
                     words=words,
                     swimming=swimming,
+                    budget=budget,
                 )
                 with stage(f"working out what counts in {world.name} {world.seed}"):
                     scorer = Scorer(world, protocol, visibility=visibility, renderer=renderer, orders=orders)

@@ -13,6 +13,7 @@ from typing import Any, ClassVar
 from dream.course import Planner
 from dream.evaluation.runner import labelled_in, simulate
 from dream.geometry import Bounds, wrap_angle
+from dream.homeward import read_budget
 from dream.mapping import OccupancyMap
 from dream.mapping.prior import Prior
 from dream.mission import explore
@@ -215,6 +216,7 @@ def fly_again(record: Record, planner: AnyPlanner, world: World | None) -> Itera
         ValueError: An observation is missing, or something does not fit together.
     """
     config, protocol, steps = record.config, record.protocol, len(record.steps)
+    budget = None if config.budget is None else read_budget(config.budget)
     decides: Planner = Repeated(record.steps) if isinstance(planner, Human) else planner
     if record.observed or record.config.dive is not None:
         robot = Replayed(record.folder)
@@ -234,6 +236,7 @@ def fly_again(record: Record, planner: AnyPlanner, world: World | None) -> Itera
             target=target,
             orders=record.orders,
             prior=record.prior(occupancy.bounds),
+            budget=budget,
         )
     else:
         assert world is not None
@@ -245,6 +248,7 @@ def fly_again(record: Record, planner: AnyPlanner, world: World | None) -> Itera
             max_steps=config.max_steps,
             orders=record.orders,
             prior=record.prior(world.bounds),
+            budget=budget,
         )
     return islice(again, steps)
 
@@ -346,4 +350,9 @@ def _move(decided: Decision | RecordedDecision | RecordedGuard) -> str:
     return " and ".join(parts) or "stay"
 
 
-_ENDS = {"": "went on", "done": "ended as done", "cap": "ended for want of steps"}
+_ENDS = {
+    "": "went on",
+    "done": "ended as done",
+    "returned": "ended at home",
+    "cap": "ended for want of steps",
+}

@@ -19,7 +19,7 @@ from dream.sim.inspection import Inspection
 from dream.sim.render import Renderer
 from dream.sim.visibility import Visibility
 from dream.sim.world import Mesh, World
-from dream.types import Exchange, Step
+from dream.types import Exchange, Home, Step
 
 MILESTONES = {"t90": 0.90, "t95": 0.95, "t98": 0.9826, "t100": 1.0}
 """Shares of the instances whose step is reported; 98.26 % is the paper's own coverage."""
@@ -83,6 +83,7 @@ class _Entry:
     waited: float
     asked: tuple[_Asked, ...]
     ended: str
+    home: Home | None
 
 
 class Logbook:
@@ -115,6 +116,7 @@ class Logbook:
                 waited=step.decision.waited,
                 asked=tuple(map(_digest, step.decision.exchanges)),
                 ended=step.ended,
+                home=step.home,
             )
         )
 
@@ -150,7 +152,16 @@ class Logbook:
             "vlm": self._vlm(),
             "success": None,
             **({} if self._orders is None else {"legs": self._flown(self._orders)}),
+            "home": self._home(),
         }
+
+    def _home(self) -> dict[str, Any] | None:
+        """How it stood with the way home at the end; None of a mission that need not go home."""
+        home = self._log[-1].home if self._log else None
+        if home is None:
+            return None
+        left = {balance.name: round(balance.left, 3) for balance in home.balances}
+        return {"reached": home.reached, "why": home.why, "left": left}
 
     def _waited(self) -> float:
         return math.fsum(entry.waited for entry in self._log)

@@ -82,7 +82,7 @@ class Row:
     start: _Count
     world_hash: _Name
     planner: _Name
-    ended: Literal["done", "cap", "aborted"]
+    ended: Literal["done", "returned", "cap", "aborted"]
     """Aborted: the vehicle lost its way. What it had seen until then counts; a success it is not."""
     steps: _Step
     t_stop: _Step | None

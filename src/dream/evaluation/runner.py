@@ -41,6 +41,7 @@ from dream.evaluation.results import (
 )
 from dream.evaluation.sealed import Sealed, blocks_told
 from dream.evaluation.suites import Case
+from dream.homeward import Budget
 from dream.mapping import OccupancyMap
 from dream.mapping.prior import Prior
 from dream.mission import Robot, explore
@@ -90,6 +91,7 @@ def simulate(
     renderer: Renderer | None = None,
     solids: Solids | None = None,
     prior: Prior | None = None,
+    budget: Budget | None = None,
     fineness: int | None = None,
     perception: Perception | None = None,
 ) -> Iterator[Step]:
@@ -106,6 +108,7 @@ def simulate(
         renderer: Of this world, where one is made already.
         solids: Of this world, where they are made already.
         prior: What an earlier survey holds of the same ground.
+        budget: What it may spend until it is home; None where it need not go home.
         fineness: Pixels of colour along each side of a pixel of depth and labels; what the planner looks at
             unless given.
         perception: Tells labels and depth under a protocol of sight by which nothing swims; the network that
@@ -115,6 +118,8 @@ def simulate(
         raise ValueError(f"start: expected 0 to {len(world.starts) - 1} for {world.name}, got {start}")
     protocol = ordered_in(world, protocol or protocol_named(world.protocol))
     check_fits(world, protocol)
+    if budget is not None:
+        check_home(budget, world, protocol, solids)
     # A model is shown finer pictures than the map is made from; nobody else pays for them.
     if fineness is None:
         fineness = SHOWN if isinstance(planner, Asking) else 1
@@ -125,7 +130,41 @@ def simulate(
     )
     occupancy = OccupancyMap(world.bounds, protocol)
     target = labelled_in(world)
-    return explore(robot, planner, occupancy, max_steps=max_steps, target=target, orders=orders, prior=prior)
+    return explore(
+        robot,
+        planner,
+        occupancy,
+        max_steps=max_steps,
+        target=target,
+        orders=orders,
+        prior=prior,
+        budget=budget,
+    )
+
+
+def check_home(budget: Budget, world: World, protocol: SurveyProtocol, solids: Solids | None = None) -> None:
+    """Raise a ValueError where a vehicle cannot come up from where it should go home to, or keep to the
+    budget.
+
+    Args:
+        budget: With the place.
+        world: Where.
+        protocol: Whose vehicle.
+        solids: Of this world, where they are made already.
+    """
+    budget.check(world.bounds, protocol)
+    if budget.home is None:
+        return
+    x, y = budget.home
+    z = protocol.launch_height(float(world.terrain.height(x, y)))
+    # Inside a boulder it touches nothing; on the way up it does.
+    up = (solids or Solids(world)).sweep_through((x, y, -protocol.body_height), (x, y, z), protocol)
+    if up.contact:
+        start = world.starts[0]
+        raise ValueError(
+            f"home: expected a place from which the vehicle can come straight up, got ({x:g}, {y:g}), where "
+            f"something solid is. The mission starts at ({start.x:g}, {start.y:g})"
+        )
 
 
 def swimming_under(protocol: SurveyProtocol, swimming: Swimming | None) -> Swimming | None:
@@ -190,6 +229,7 @@ def run_config(
     orders: Orders | None = None,
     words: str = "",
     swimming: Swimming | None = None,
+    budget: Budget | None = None,
 ) -> dict[str, Any]:
     """`config.json` of a mission: enough to fly it again."""
     swims = swimming_under(protocol, swimming)
@@ -209,6 +249,7 @@ def run_config(
         "max_steps": max_steps,
         "swimming": None if swims is None else asdict(swims),
         "orders": None if orders is None else written(orders),
+        "budget": None if budget is None else budget.as_dict(),
         "words": words,
         "understood": () if orders is None else tuple(sentences(orders, max_steps or protocol.cap)),
     }
@@ -225,6 +266,8 @@ class Flight:
     max_steps: int | None = None
     swimming: Swimming | None = None
     """What swims, where the protocol is of a vehicle that does."""
+    budget: Budget | None = None
+    """What it may spend until it is home; None where it need not go home."""
     source: str = ""
     """Of the code that it must be flown by (`machine.source`); any where empty."""
     record_to: Path | None = None
@@ -349,6 +392,7 @@ def _fly_on(stage: _Stage, flight: Flight, began: float) -> Flown:
         start=flight.case.start,
         max_steps=None if flight.max_steps is None else min(flight.max_steps, protocol.cap),
         swimming=flight.swimming,
+        budget=flight.budget,
         renderer=stage.renderer,
         solids=stage.visibility.solids,
     )
@@ -401,6 +445,7 @@ def _record(
         start=flight.case.start,
         max_steps=flight.max_steps,
         swimming=flight.swimming,
+        budget=flight.budget,
     )
     recording.write_config(folder, {**config, "began": datetime.datetime.now(datetime.UTC)})
     recorded = recording.record(steps, folder, annotate=score)
@@ -471,6 +516,8 @@ class Plan:
     """Leave a full recording of each mission that is flown, below `runs/`."""
     swimming: Swimming | None = None
     """What swims, where the protocol is of a vehicle that does."""
+    budget: Budget | None = None
+    """What each mission may spend until it is home; None where none need go home."""
     sealed: Sealed | None = None
     """What may be told of the cases, where they are a sealed test's."""
 
@@ -581,6 +628,7 @@ def _flights(plan: Plan, folder: Path, manifest: Mapping[str, Any]) -> Iterator[
                 plan.protocol.name,
                 max_steps=plan.max_steps,
                 swimming=plan.swimming,
+                budget=plan.budget,
                 source=manifest["source"],
             )
             record_to = folder.resolve() / "runs" / mission_path(folder, flight.key).stem
@@ -623,6 +671,7 @@ def _manifest(plan: Plan, folder: Path, engine: Engine) -> dict[str, Any]:
         "protocol": _as_json(plan.protocol),
         "max_steps": plan.max_steps,
         **({} if swims is None else {"swimming": _as_json(swims)}),
+        **({} if plan.budget is None else {"budget": plan.budget.as_dict()}),
         "sealed": None if plan.sealed is None else plan.sealed.as_dict(),
         "files": {name: given for name, planner in plan.planners.items() if (given := files_given(planner))},
         **machine.code(),
@@ -640,7 +689,8 @@ def _manifest(plan: Plan, folder: Path, engine: Engine) -> dict[str, Any]:
         # Not the commit: one that changes a page must not end a benchmark, and the source says what counts.
         for name in ("version", "source", *machine.libraries(), "protocol", "max_steps"):
             _check_same(folder, name, before[name], now[name])
-        _check_same(folder, "swimming", before.get("swimming"), now.get("swimming"))
+        for name in ("swimming", "budget"):
+            _check_same(folder, name, before.get(name), now.get(name))
         if plan.sealed is not None or before.get("sealed") is not None:
             now["sealed"] = _sealed_together(folder, before.get("sealed"), plan.sealed)
         given_before = before.get("files", {})

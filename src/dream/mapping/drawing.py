@@ -43,6 +43,10 @@ TRAIL: Color = (0, 150, 255)
 MARK: Color = (255, 201, 14)
 OUTLINE: Color = (200, 0, 160)
 """Around an area that has to be seen."""
+WAY_HOME: Color = (214, 60, 16)
+"""Along the way home."""
+DOTS = 0.8
+"""Metres from one dot of it to the next."""
 GRID_LINE: Color = (90, 90, 120)
 INK: Color = (40, 40, 40)
 PAPER: Color = (244, 244, 240)
@@ -136,6 +140,7 @@ def draw_map(
     trail: npt.ArrayLike = (),
     marks: Sequence[Mark] = (),
     *,
+    home: npt.ArrayLike | None = None,
     scale: int = SCALE,
     palette: Palette = FOR_MODELS,
 ) -> Image.Image:
@@ -151,6 +156,7 @@ def draw_map(
         pose: The vehicle; nothing is drawn for it without one.
         trail: (N, 2) positions in the world, oldest first; or (N, 3) with headings, which are not used.
         marks: Drawn over everything else, the first uppermost.
+        home: (N, 2) positions in the world of the way home, from the vehicle on: a row of red dots.
         scale: Pixels per cell.
         palette: `FOR_MODELS` or `FOR_PEOPLE`.
 
@@ -158,8 +164,18 @@ def draw_map(
         An RGB image. Its size depends on the map's shape and the scale alone.
     """
     legend = palette.legend(occupancy.protocol)
+    if home is not None:
+        legend = (*legend, (WAY_HOME, "way home"))
     return draw_cells(
-        occupancy, _paint(occupancy, palette), legend, pose, trail, marks, scale=scale, palette=palette
+        occupancy,
+        _paint(occupancy, palette),
+        legend,
+        pose,
+        trail,
+        marks,
+        home=home,
+        scale=scale,
+        palette=palette,
     )
 
 
@@ -171,6 +187,7 @@ def draw_cells(
     trail: npt.ArrayLike = (),
     marks: Sequence[Mark] = (),
     *,
+    home: npt.ArrayLike | None = None,
     scale: int = SCALE,
     palette: Palette = FOR_MODELS,
 ) -> Image.Image:
@@ -183,6 +200,7 @@ def draw_cells(
         pose: See `draw_map`, as of the others.
         trail: Likewise.
         marks: Likewise.
+        home: Likewise.
         scale: Likewise.
         palette: Says how the vehicle's field of view is drawn.
     """
@@ -208,6 +226,8 @@ def draw_cells(
     _draw_grid(picture, sheet)
     if area is not None:
         _draw_outline(picture, sheet, area)
+    if home is not None:
+        _draw_dots(picture, sheet, np.asarray(home, np.float64).reshape(-1, 2))
     _draw_trail(picture, sheet, points[:, :2])
     for mark in reversed(marks):
         _draw_way(picture, sheet, mark)
@@ -458,6 +478,22 @@ def _draw_trail(picture: Image.Image, sheet: _Sheet, points: npt.NDArray[np.floa
 
     if way:
         _paste(picture, sheet, way, TRAIL, draw)
+
+
+def _draw_dots(picture: Image.Image, sheet: _Sheet, points: npt.NDArray[np.float64]) -> None:
+    """At even distances along a way."""
+    along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))])
+    every = np.arange(DOTS, along[-1] + 0.5 * DOTS, DOTS)
+    x, y = (np.interp(every, along, axis) for axis in points.T)
+    dots = [sheet.at(*place) for place in zip(x.tolist(), y.tolist(), strict=True)]
+
+    def draw(pen: ImageDraw.ImageDraw, at: Callable[[Point], Point]) -> None:
+        dot = 1.9 * FINER
+        for x, y in map(at, dots):
+            pen.ellipse((x - dot, y - dot, x + dot, y + dot), fill=255)
+
+    if dots:
+        _paste(picture, sheet, dots, WAY_HOME, draw)
 
 
 def _draw_way(picture: Image.Image, sheet: _Sheet, mark: Mark) -> None:

@@ -28,6 +28,15 @@ function onLattice(step, lattice) {
   return ` Moves end at the nearest point of a lattice of ${lattice} m, so that ${metres(step.guarded.advance, 0)} ahead became ${metres(step.distance_m, 2)}.`;
 }
 
+// How it stands with the way home: a title, a text and a tone for each line.
+function wayHome(step) {
+  const { path, why } = step.home;
+  if (!known(path)) return [["Way home", "No way is known", "bad"]];
+  if (path.length === 0) return [["Way home", "It is home", why ? "good" : ""]];
+  const lines = balances(step).map(({ way, margin, left, name, short }) => [`Home by ${name}`, `${way}, ${margin} more at most, of ${left} left`, short ? "warn" : ""]);
+  return [...(why ? [["Goes home", why, "warn"]] : []), ...lines];
+}
+
 function carried(step, { lattice, real }) {
   const row = (title, text, tone = "") => [element("dt", { textContent: title }), element("dd", { textContent: text, className: tone })];
   if (step.step === 0) return row("Moved", "Not yet: this is the first look, before anything was decided");
@@ -41,7 +50,8 @@ function carried(step, { lattice, real }) {
   if (step.waited_s > 0) rows.push(...row("Waited", `${minutes(step.waited_s)} for the model`));
   if (step.collided) rows.push(...row("Contact", "Touched something and stopped", "bad"));
   if (!step.ended && step.why) rows.push(...row("Ended", step.why, "bad"));
-  if (step.ended) rows.push(...row("Ended", step.ended === "done" ? (inSpace(step) ? "The planner is done" : "The planner is done and the map agrees") : "Out of steps", step.ended === "done" ? "good" : "warn"));
+  if (step.home) rows.push(...wayHome(step).flatMap((line) => row(...line)));
+  if (step.ended) rows.push(...row("Ended", ...ends(step)));
   return rows;
 }
 

@@ -15,6 +15,7 @@ from dream.estimation._kernels.sensors import Parameters as Instruments
 from dream.sim import _kernels as world
 from dream.sim.sensors import _kernels as sensors
 from dream.sim.vehicle import _kernels as water
+from dream.vehicle._kernels import watts
 
 Float64Array = npt.NDArray[np.float64]
 
@@ -38,10 +39,10 @@ CHECKED = 10
 """Beats between two looks at how sure the filter is."""
 
 # What `Voyage.clock` holds.
-CLOCK = 13
+CLOCK = 14
 TIME, NEXT_PING, ARRIVES, SENT, ABOVE, LAST_DVL, LAST_DEPTH, LAST_IMU = range(8)
-SEABED, DISTANCE, WAY, CLEARANCE, CONDITION = range(8, CLOCK)
-"""`DISTANCE` is over ground, `WAY` through the water, heights counted."""
+SEABED, DISTANCE, WAY, CLEARANCE, CONDITION, DRAWN = range(8, CLOCK)
+"""`DISTANCE` is over ground, `WAY` through the water, heights counted; `DRAWN` is in joules."""
 
 
 class Ship(NamedTuple):
@@ -72,6 +73,12 @@ class Ship(NamedTuple):
     gains: control.Gains
     nominal: control.Nominal
     limits: control.Limits
+    watt_commands: Float64Array
+    """Commands at the points of what a thruster draws,"""
+    watt_roots: Float64Array
+    """and the cube roots of watts there."""
+    hotel: float
+    """Watts of all else."""
     dt: float
     depth_every: int
     """Beats."""
@@ -94,7 +101,7 @@ class Voyage(NamedTuple):
     """(14,) of the autopilot."""
     commands: Float64Array
     clock: Float64Array
-    """(CLOCK,) seconds, metres and the worst condition of the move; see the names above."""
+    """(CLOCK,) seconds, metres, the worst condition of the move and joules; see the names above."""
     sample: Float64Array
     """(8,) turn rate, force, depth and heading of the last beat, NaN where none; what the unit said last
     stands for what it does not say."""
@@ -142,6 +149,10 @@ def swim(ship: Ship, voyage: Voyage, before: Float64Array, rng: np.random.Genera
     if abs(x[0]) + abs(x[1]) + abs(x[2]) > FARTHEST:
         return False
     clock[TIME] += ship.dt
+    drawn = ship.hotel
+    for u in voyage.commands:
+        drawn += watts(ship.watt_commands, ship.watt_roots, u)
+    clock[DRAWN] += drawn * ship.dt
     over_ground = math.hypot(x[0] - before[0], x[1] - before[1])
     clock[DISTANCE] += over_ground
     clock[WAY] += math.hypot(over_ground, x[2] - before[2])

@@ -79,7 +79,9 @@ class SimulatedCamera:
         """(N,) what each individual is taken for that is not recognised; see `with_noise`."""
         return np.where(self._world.hull, Label.OBSTACLE, Label.SEABED).astype(np.uint8)
 
-    def observe(self, time: float, moves: int, truth: SE3, believed: SE3, tilt: float) -> Observation:
+    def observe(
+        self, time: float, moves: int, truth: SE3, believed: SE3, tilt: float, drawn_wh: float
+    ) -> Observation:
         """One frame.
 
         Args:
@@ -90,10 +92,12 @@ class SimulatedCamera:
                 mission's error of height.
             tilt: Pitch of the camera, radians, positive downwards, that it is drawn with. The observation's
                 is off from it by the mission's error of tilt.
+            drawn_wh: Watt-hours that the robot has drawn so far.
         """
         T_world_camera = truth @ camera_mount(tilt)
         if self._protocol.seen is not None:
-            return self._seen(time, moves, truth, believed, tilt, self._protocol.seen)
+            seen = self._seen(time, moves, truth, believed, tilt, self._protocol.seen)
+            return replace(seen, drawn_wh=drawn_wh)
         frame = self._frame(T_world_camera, moves)
         rgb = frame.rgb
         if self._fineness > 1:
@@ -107,6 +111,7 @@ class SimulatedCamera:
             camera=self._protocol.camera,
             T_world_base=_raised(believed, self.errors.height),
             T_base_camera=camera_mount(tilt + self.errors.tilt),
+            drawn_wh=drawn_wh,
         )
 
     def _seen(

@@ -226,6 +226,10 @@ def write(path: Path, kept: Kept) -> None:
         arrays["confidence"] = seen.confidence
     if seen.error is not None:
         arrays["error"] = seen.error
+    if seen.drawn_wh is not None:
+        arrays["drawn_wh"] = seen.drawn_wh
+    if seen.trouble:
+        arrays["trouble"] = np.frombuffer(seen.trouble.encode(), np.uint8)
     if kept.move is not None:
         to, arrival = kept.move.setpoint, kept.move.arrival
         arrays |= {
@@ -269,6 +273,8 @@ def _kept(arrays: Arrays) -> Kept:
         T_base_camera=_transform(arrays, "T_base_camera"),
         confidence=_typed(arrays, "confidence", np.float32) if "confidence" in arrays else None,
         error=_typed(arrays, "error", np.float32) if "error" in arrays else None,
+        drawn_wh=float(_numbers(arrays, "drawn_wh", ())) if "drawn_wh" in arrays else None,
+        trouble=arrays["trouble"].tobytes().decode() if "trouble" in arrays else "",
     )
     if "setpoint" not in arrays:
         return Kept(None, seen)

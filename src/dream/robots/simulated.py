@@ -37,7 +37,7 @@ from dream.sim.solids import Solids
 from dream.sim.vehicle import BLUEROV2_HEAVY, Current, Diverged, Spread, State, Vehicle
 from dream.sim.world import World
 from dream.types import Arrival, Observation, Setpoint
-from dream.vehicle import GRAVITY
+from dream.vehicle import GRAVITY, HOTEL_W, watt_points
 
 BEAT = 0.01
 """Seconds of water, inertial unit, estimate and autopilot."""
@@ -51,6 +51,8 @@ STAY = 0.3
 has tilted it by then."""
 ROOM = 30.0
 """Seconds that a move, or the way up, may take beyond what it takes at half the speeds."""
+JOULES = 3600.0
+"""Of a watt-hour."""
 SURFACED = 0.5
 """Metres of its true depth at which it has."""
 
@@ -194,6 +196,7 @@ class Simulated:
             self.truth,
             self.estimate.pose,
             self._tilt,
+            float(self._voyage.clock[_kernels.DRAWN]) / JOULES,
         )
 
     def go_to(self, setpoint: Setpoint) -> Arrival:
@@ -337,6 +340,9 @@ def _launched(
         gains=motion.helmsman.gains,
         nominal=nominal(motion.vehicle.slowest, motion.vehicle.thrusters),
         limits=motion.watch.limits,
+        watt_commands=watt_points(truth.thrusters.voltage)[0],
+        watt_roots=watt_points(truth.thrusters.voltage)[1],
+        hotel=HOTEL_W,
         dt=BEAT,
         depth_every=round(1.0 / (motion.gauge.rate * BEAT)),
         heading_every=round(1.0 / (motion.compass.rate * BEAT)),

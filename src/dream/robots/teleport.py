@@ -12,13 +12,20 @@ from dream.protocol import SurveyProtocol
 from dream.robots.camera import SimulatedCamera
 from dream.sim.render import Renderer
 from dream.sim.solids import Solids, Sweep
+from dream.sim.vehicle import BLUEROV2_HEAVY
 from dream.sim.world import World
 from dream.types import Arrival, Observation, Setpoint
+from dream.vehicle import PowerModel
 
 SPEED = 0.5
 """Metres a second on the clock of a run."""
 TURN_RATE = 0.5
 """Radians a second on the clock of a run."""
+
+_UNDER_WAY, _ON_THE_SPOT = (
+    PowerModel().under_way(BLUEROV2_HEAVY.typical, BLUEROV2_HEAVY.thrusters, speed) for speed in (SPEED, 0.0)
+)
+"""Watts of a BlueROV2 Heavy at that speed, and while it turns on the spot."""
 
 
 class Teleport:
@@ -67,13 +74,15 @@ class Teleport:
         self._tilt = protocol.camera_pitch
         self._moves = 0
         self._time = 0.0
+        self._drawn = 0.0
         if not self._is_free(self._pose, self._z):
             raise ValueError(f"start: ({self._pose.x}, {self._pose.y}) touches the world. See `dream draw`")
 
     def observe(self) -> Observation:
         """One frame from the present pose; the same again until it moves."""
         T_world_base = self._T_world_base()
-        return self._camera.observe(self._time, self._moves, T_world_base, T_world_base, self._tilt)
+        drawn = self._drawn / 3600.0
+        return self._camera.observe(self._time, self._moves, T_world_base, T_world_base, self._tilt, drawn)
 
     def go_to(self, setpoint: Setpoint) -> Arrival:
         """Turn, then advance and climb; at contact, stop. The camera tilts on the way."""
@@ -85,7 +94,9 @@ class Teleport:
         collided = sweep.contact
         end, height = self._last_free_node(goal, height, sweep.free) if collided else (goal, height)
         travelled = start.distance(end) if height is None else math.hypot(start.distance(end), height - z)
-        self._time += travelled / SPEED + abs(wrap_angle(goal.yaw - start.yaw)) / TURN_RATE
+        swims, turns = travelled / SPEED, abs(wrap_angle(goal.yaw - start.yaw)) / TURN_RATE
+        self._time += swims + turns
+        self._drawn += swims * _UNDER_WAY + turns * _ON_THE_SPOT
         self._pose = end
         self._z = launch_height(self._world, self._protocol, end) if height is None else height
         self._tilt = self._tilt if setpoint.tilt is None else setpoint.tilt

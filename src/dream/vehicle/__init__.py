@@ -1,6 +1,17 @@
 """What a vehicle is made of, as its simulator and its autopilot both need to know."""
 
 from dream.vehicle.hull import GRAVITY, Hull
+from dream.vehicle.power import HOTEL_W, PowerModel, watt_points, watts
 from dream.vehicle.thrusters import VECTORED, VECTORED_6DOF, Thrusters
 
-__all__ = ["GRAVITY", "VECTORED", "VECTORED_6DOF", "Hull", "Thrusters"]
+__all__ = [
+    "GRAVITY",
+    "HOTEL_W",
+    "VECTORED",
+    "VECTORED_6DOF",
+    "Hull",
+    "PowerModel",
+    "Thrusters",
+    "watt_points",
+    "watts",
+]

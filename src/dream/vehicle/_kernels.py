@@ -12,19 +12,30 @@ Float64Array = npt.NDArray[np.float64]
 
 
 @njit(cache=True, nogil=True)
+def between(commands: Float64Array, values: Float64Array, u: float) -> float:
+    """Linear between the points, and beyond them as at the ends."""
+    if u <= commands[0]:
+        return float(values[0])
+    if u >= commands[-1]:
+        return float(values[-1])
+    k = 1
+    while commands[k] < u:
+        k += 1
+    part = (u - commands[k - 1]) / (commands[k] - commands[k - 1])
+    return float(values[k - 1] + part * (values[k] - values[k - 1]))
+
+
+@njit(cache=True, nogil=True)
 def thrust(commands: Float64Array, roots: Float64Array, u: float) -> float:
     """Force of a thruster at rest in the water: the root of the force is linear between the points."""
-    if u <= commands[0]:
-        root = roots[0]
-    elif u >= commands[-1]:
-        root = roots[-1]
-    else:
-        k = 1
-        while commands[k] < u:
-            k += 1
-        part = (u - commands[k - 1]) / (commands[k] - commands[k - 1])
-        root = roots[k - 1] + part * (roots[k] - roots[k - 1])
-    return float(root * abs(root))
+    root = between(commands, roots, u)
+    return root * abs(root)
+
+
+@njit(cache=True, nogil=True)
+def watts(commands: Float64Array, roots: Float64Array, u: float) -> float:
+    """What a thruster draws at rest in the water: the cube root of its power is linear between the points."""
+    return between(commands, roots, u) ** 3
 
 
 @njit(cache=True, nogil=True)

@@ -26,6 +26,7 @@ from dream.commands.dive.ready import Ready, opened
 from dream.commands.dive.tank import Tank, rehearse_mission, rehearse_return
 from dream.commands.dive.terminal import Terminal
 from dream.commands.ground import Ground
+from dream.commands.homing import Homing
 from dream.commands.progress import stage
 from dream.ending import asked_to_end
 from dream.geometry import Bounds
@@ -147,6 +148,7 @@ class Dive:
     json: bool = False
     """Print the summary, or the list, as one JSON object and nothing else."""
     ground: Ground = field(default_factory=Ground)
+    homing: Homing = field(default_factory=Homing)
 
     def __call__(self) -> int:
         """Exit status 0; 1 for a no-go; a MissionAborted where the mission did not end by itself."""
@@ -222,6 +224,8 @@ class Dive:
             stack.callback(draw_flown, folder, quiet=self.json)
             waters = waters_told(self) if tank is None else tank.waters(protocol, self.pilot)
             limits = limits_told(self, waters.area)
+            if (budget := self.homing.budget()) is not None:
+                budget.check(waters.area, protocol)
             devices = stack.enter_context(opened(self, waters, folder, begun))
             ready = Ready(self, protocol, devices, limits, waters.start, folder, tank, sight, known)
             tell(f"listening to the sensors for {STILL:g} s: the vehicle has to lie still", quiet=self.json)

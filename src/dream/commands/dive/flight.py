@@ -126,6 +126,7 @@ class Flight:
                     occupancy,
                     max_steps=told.max_steps,
                     prior=ready.known.prior,
+                    budget=told.homing.budget(),
                 )
                 recorded = recording.record(
                     self._logged(steps, vehicle),
@@ -215,6 +216,7 @@ class Flight:
             truth=None if ready.tank is None else ready.tank.truth,
             threads=ready.devices.threads,
             beams=lambda: ready.devices.beams,
+            vehicle=lambda: ready.devices.link.telemetry,
         )
 
     def _willed(self, bridge: Bridge, home: WayHome, will: Will) -> None:

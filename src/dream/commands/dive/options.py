@@ -184,7 +184,7 @@ def mounting_told(told: Dive) -> Mounting:
     return mounting_of(told.dvl_at or DVL_AT, told.gauge_at or GAUGE_AT)
 
 
-_NOT_REPEATED = ("planner", "ground", "out", "json", "live")
+_NOT_REPEATED = ("planner", "ground", "homing", "out", "json", "live")
 """Fields that are no option, or change nothing of the dive."""
 
 
@@ -202,4 +202,5 @@ def repeating_command(told: Dive, name: str) -> str:
             words.append("--" + field.name.replace("_", "-"))
             if value is not True:
                 words += [f"{one:g}" for one in value] if isinstance(value, tuple) else [str(value)]
-    return shlex.join(words)
+    budget = told.homing.budget()
+    return shlex.join([*words, *([] if budget is None else budget.options)])

@@ -13,7 +13,7 @@ import numpy as np
 
 from dream import __version__
 from dream.commands.dive.options import mounting_told, repeating_command
-from dream.ending import why
+from dream.ending import ENDED, why
 from dream.planning import PLANNERS
 from dream.planning.identity import identity
 from dream.versions import commit
@@ -31,7 +31,8 @@ def config(ready: Ready, name: str) -> dict[str, Any]:
     """`config.json`: what the dive was begun with."""
     told = asdict(replace(ready.told, planner=PLANNERS["belief"]))
     # What is known of the ground is kept beside; the address of an archive may hold a password.
-    del told["planner"], told["ground"]
+    del told["planner"], told["ground"], told["homing"]
+    budget = ready.told.homing.budget()
     mounting = mounting_told(ready.told)
     return {
         "version": __version__,
@@ -42,6 +43,7 @@ def config(ready: Ready, name: str) -> dict[str, Any]:
         "seed": ready.told.seed,
         **identity(name, ready.told.planner),
         "max_steps": ready.told.max_steps,
+        "budget": None if budget is None else budget.as_dict(),
         "command": repeating_command(ready.told, name),
         "began": datetime.datetime.fromtimestamp(ready.devices.log.epoch_ns / 1e9, datetime.UTC),
         "mounting": {
@@ -127,7 +129,7 @@ def _behind(tank: Tank) -> float | None:
 
 def print_outcome(summary: Mapping[str, Any], page: Path | None) -> None:
     """The summary in a few lines."""
-    ended = {"done": "done", "cap": "out of steps", "aborted": "aborted"}[summary["ended"]]
+    ended = ENDED[summary["ended"]]
     print(f"{summary['world']} {summary['seed']} · {summary['planner']} · {summary['protocol']}")
     print(f"  {ended} after {summary['steps']} steps and {summary['distance_m']:.1f} m")
     if summary["ended"] == "aborted":

@@ -120,7 +120,7 @@ function stateOf(run) {
     return [badge, tone, text];
   }
   const last = run.steps.at(-1);
-  if (last?.ended) return ["Ended", "good", last.ended === "done" ? "The planner is done and the map agrees." : "It is out of steps."];
+  if (last?.ended) return ["Ended", "good", `${ends(last)[0]}.`];
   if (!last && known(run.compilingSince) && now() - run.compilingSince < 600000)
     return ["Starting", "running", `Its program compiles what it computes with, for ${ago((now() - run.compilingSince) / 1000)} so far. A computer does so once, in a minute or two.`];
   if (!last) return ["Starting", "running", "It makes its world ready; no step is written yet."];
@@ -191,6 +191,7 @@ function showBudget(run, index) {
       ["Cost", costs.every(known) ? dollars(sum((one) => one.spent.cost_usd)) : "price unknown", "", known(parameters.max_usd) ? `of US$ ${parameters.max_usd}` : ""],
     );
   }
+  if (step.home) lines.push(...wayHome(step).map(([title, text, tone]) => [title, text, tone]));
   rows(at("budget"), lines);
 }
 
@@ -217,7 +218,9 @@ function showHealth(run, index) {
 // Newest first.
 function showLog(run) {
   const lines = run.steps.flatMap((step) => [
-    ...(step.ended ? [[step, step.ended === "done" ? "Done: the map agrees that it is complete" : "Out of steps", step.ended === "done" ? "good" : "warn"]] : []),
+    ...(step.ended ? [[step, ...ends(step)]] : []),
+    ...(step.home?.why && !run.steps.find((one) => one.step === step.step - 1)?.home?.why ? [[step, `Goes home: ${step.home.why}`, "warn"]] : []),
+    ...(step.home && !known(step.home.path) ? [[step, "No way home is known", "bad"]] : []),
     ...(step.collided ? [[step, "Touched something", "bad"]] : []),
     ...(step.arrival_note ? [[step, step.arrival_note, "warn"]] : []),
     ...(step.guarded?.note ? [[step, `Guard: ${step.guarded.note}`, "warn"]] : []),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -25,6 +25,8 @@ SOON = 3.0
 """Seconds that looking, and what the mission does with a step, may take each."""
 TILTING = 12.0
 """Seconds that tilting the camera may take, with all that is asked for again."""
+LOW = 0.2
+"""Share of the battery at which the mission goes home."""
 ASIDE = 0.15
 """Metres that the vehicle may be carried while it may not move itself, and yet go on to its goal."""
 
@@ -117,6 +119,7 @@ class BlueRov2:
         holds: Callable[[], bool] = lambda: False,
         truth: Callable[[], tuple[SE3, int]] | None = None,
         beams: Callable[[], FloatArray | None] = lambda: None,
+        vehicle: Callable[[], Telemetry] | None = None,
         threads: Threads = REAL_TIME,
     ) -> None:
         """On its bridge.
@@ -137,6 +140,7 @@ class BlueRov2:
             holds: Does the operator want it to stay where it is, now?
             truth: Where the vehicle really is, and how often it has run into something, of a stand-in.
             beams: (n, 3) metres in `base`, where the DVL's beams end now; None where that is not known.
+            vehicle: What it says of its battery; None where nobody asks.
             threads: What it waits by.
         """
         self._bridge, self._navigator, self._eye = bridge, navigator, eye
@@ -147,7 +151,7 @@ class BlueRov2:
         self._fineness = fineness
         self._manners = manners or Manners()
         self._waits, self._holds = waits, holds
-        self._truth, self._beams = truth, beams
+        self._truth, self._beams, self._vehicle = truth, beams, vehicle
         self._contacts = truth()[1] if truth is not None else 0
         self._arrived = now()
         self.picture_ages: list[float] = []
@@ -195,7 +199,19 @@ class BlueRov2:
             T_base_camera=self._T_base_camera,
             confidence=shows.confidence,
             error=shows.error,
+            **self._battery(),
         )
+
+    def _battery(self) -> dict[str, Any]:
+        """What an observation says of it."""
+        if self._vehicle is None:
+            return {}
+        said = self._vehicle()
+        low = said.battery <= LOW
+        return {
+            "drawn_wh": said.drawn_wh if math.isfinite(said.drawn_wh) else None,
+            "trouble": f"the battery has {said.battery:.0%} left" if low else "",
+        }
 
     def go_to(self, setpoint: Setpoint) -> Arrival:
         """Tilt the camera, swim there, and come to rest.

@@ -54,6 +54,8 @@ class Telemetry:
     """Volts at the battery."""
     battery: float = math.nan
     """Share that is left, 0 to 1."""
+    drawn_wh: float = math.nan
+    """Watt-hours that were drawn since it was first heard, by its battery monitor; NaN where it has none."""
     depth: float = math.nan
     """Metres below the surface; NaN until the pressure there is known."""
     own_altitude: float = math.nan
@@ -253,7 +255,7 @@ class Reports:
         elif kind == "SERVO_OUTPUT_RAW" and message.port == 0:
             values["thrust"] = thrust_of(message)
         elif kind == "SYS_STATUS":
-            self._status(message)
+            self._status(message, now)
             self.seen["status"] = now
         elif kind == "NAMED_VALUE_FLOAT":
             self._named(text_of(message.name), float(message.value))
@@ -323,10 +325,14 @@ class Reports:
         self.values["failsafe"] = message.system_status == d.MAV_STATE_CRITICAL
         self.seen["heartbeat"] = now
 
-    def _status(self, message: Any) -> None:
+    def _status(self, message: Any, now: float) -> None:
         millivolts, percent = message.voltage_battery, message.battery_remaining
         self.values["voltage"] = millivolts / 1000.0 if 0 < millivolts < 65535 else math.nan
         self.values["battery"] = percent / 100.0 if 0 <= percent <= 100 else math.nan
+        if message.current_battery >= 0 and 0 < millivolts < 65535:
+            watts = millivolts / 1000.0 * message.current_battery / 100.0
+            since = now - self.seen["status"] if "status" in self.seen else 0.0
+            self.values["drawn_wh"] = self.values.get("drawn_wh", 0.0) + watts * since / 3600.0
         leak = self._dialect.MAV_SYS_STATUS_SENSOR_LEAK
         if message.onboard_control_sensors_present & self._dialect.MAV_SYS_STATUS_EXTENSION_USED:
             enabled = message.onboard_control_sensors_enabled_extended & leak

@@ -92,6 +92,11 @@ class Vehicle:
         return _dragging(self.hull, self.damping[1])
 
     @property
+    def typical(self) -> Hull:
+        """Its hull with drag in the middle of what it may have, in logarithms."""
+        return _dragging(self.hull, math.sqrt(self.damping[0] * self.damping[1]))
+
+    @property
     def body(self) -> _kernels.Body:
         """As the kernels take it."""
         hull, tether = self.hull, self.tether

@@ -10,7 +10,7 @@ import pytest
 from pydantic_ai.exceptions import UsageLimitExceeded
 
 from dream.planning.vlm.asking import Asking, responses
-from dream.planning.vlm.asking.budget import Budget
+from dream.planning.vlm.asking.budget import AskingBudget
 from dream.planning.vlm.asking.provider import OFFLINE
 from dream.types import Asked
 from tests.model_server import serving
@@ -109,7 +109,7 @@ def test_who_is_asked_where_prices_are_known_may_be_limited_in_dollars(
 
 
 def test_requests_that_were_kept_and_those_of_earlier_legs_count_too() -> None:
-    budget = Budget(max_calls=5, spent=Asked(calls=2))
+    budget = AskingBudget(max_calls=5, spent=Asked(calls=2))
     budget.count_played(2)
     budget.count_request()
     with pytest.raises(UsageLimitExceeded):
@@ -117,13 +117,13 @@ def test_requests_that_were_kept_and_those_of_earlier_legs_count_too() -> None:
 
 
 def test_who_may_not_spend_anything_asks_nothing_and_who_has_no_limit_asks_on() -> None:
-    assert Budget(max_calls=0).exhausted() == "budget: all 0 calls are made"
-    assert Budget(max_usd=0.0).exhausted() == "budget: all 0 USD are spent"
-    assert Budget(spent=Asked(calls=10**6, cost_usd=None)).exhausted() == ""
+    assert AskingBudget(max_calls=0).exhausted() == "budget: all 0 calls are made"
+    assert AskingBudget(max_usd=0.0).exhausted() == "budget: all 0 USD are spent"
+    assert AskingBudget(spent=Asked(calls=10**6, cost_usd=None)).exhausted() == ""
 
 
 def test_what_is_under_way_never_makes_room_in_a_budget_that_is_spent() -> None:
-    budget = Budget(None, 1.0, "a model", spent=Asked(calls=3, cost_usd=1.0))
+    budget = AskingBudget(None, 1.0, "a model", spent=Asked(calls=3, cost_usd=1.0))
     assert budget.exhausted() == "budget: all 1 USD are spent"
     budget.under_way = 2
     assert budget.exhausted() == "budget: all 1 USD are spent"

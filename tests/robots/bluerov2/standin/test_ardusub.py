@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import replace
 from itertools import pairwise
 
@@ -583,7 +584,7 @@ def test_a_low_battery_is_told_after_its_time(ground: Ground) -> None:
     assert ground.sub.mode == ALT_HOLD
     z = where(ground)[2]
     ground.run(3.0)
-    assert any(text.startswith("Battery 1 is low 13.9V used ") for text in ground.texts)
+    assert any(re.match(r"Battery 1 is low 1(3\.9|4\.0)V used ", text) for text in ground.texts)
     # It is on its way up, or there already.
     assert where(ground)[2] > z + 0.05
     status = ground.last("SYS_STATUS")

@@ -9,7 +9,7 @@ from dream.types import UNASKED, Asked, Exchange
 
 
 @dataclass(slots=True, eq=False)
-class Budget:
+class AskingBudget:
     """Calls and dollars of one mission. Questions may be on their way side by side."""
 
     max_calls: int | None = None

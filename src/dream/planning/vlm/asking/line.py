@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Generic, TypeVar
 from pydantic import BaseModel, ValidationError
 
 from dream.planning.vlm.asking import cassette, provider
-from dream.planning.vlm.asking.budget import Budget
+from dream.planning.vlm.asking.budget import AskingBudget
 from dream.planning.vlm.asking.failures import GONE, INVALID, REJECTED
 from dream.planning.vlm.asking.finding import answer_in, lacking
 from dream.planning.vlm.asking.names import is_server
@@ -67,7 +67,7 @@ class Line:
     """What earlier legs of the mission spent."""
     prompts: Own = field(default_factory=dict)
     """One's own, by name: as they were when the line was opened."""
-    budget: Budget = field(init=False)
+    budget: AskingBudget = field(init=False)
     _client: Client | None = field(init=False, default=None)
     """None where kept replies alone answer."""
     _answered: bool = False
@@ -78,7 +78,7 @@ class Line:
     def __post_init__(self) -> None:
         asking = self.asking
         self._answered = self.earlier.calls > 0
-        self.budget = Budget(asking.max_calls, asking.max_usd, asking.label, self.earlier)
+        self.budget = AskingBudget(asking.max_calls, asking.max_usd, asking.label, self.earlier)
         if asking.only_replays:
             return
         forms = provider.connect(asking.model, asking.model_name)

@@ -18,6 +18,7 @@ from dream.sim.solids import Solids
 from dream.sim.vehicle import BLUEROV2_HEAVY, STILL, Current, Diverged, Spread, State, Vehicle
 from dream.sim.vehicle import _kernels as water
 from dream.sim.world import World
+from dream.vehicle import watts
 from dream.vehicle.thrusters import TABLE_VOLTAGE, VOLTAGE_POWER
 
 Float64Array = npt.NDArray[np.float64]
@@ -33,8 +34,7 @@ class Battery:
     """Four lithium cells, and what draws on them.
 
     What it does: the voltage at rest falls evenly with the charge that was taken, and under load by the
-    current times a resistance. A thruster at command u draws 24 |u|^2.5 A, which meets the maker's table of
-    the T200 at 16 V within 0.5 A.
+    current times a resistance. Thrusters draw what the maker's table says at 16 V.
     Reference: Blue Robotics' battery of 18 Ah. The resistance, with the tether-end wiring, is an assumption.
     """
 
@@ -297,7 +297,7 @@ class Tank:
     def _load(self) -> None:
         """The battery's voltage by its charge and what the thrusters draw; thrust goes with it."""
         battery = self.conditions.battery
-        drawn = 0.0 if self.held else 24.0 * float((np.minimum(np.abs(self._commands), 1.0) ** 2.5).sum())
+        drawn = 0.0 if self.held else float(watts(self._commands).sum()) / TABLE_VOLTAGE
         left = max(1.0 - self._used / battery.charge, 0.0)
         self.amperes = battery.idle + drawn
         rest = battery.empty + left * (battery.full - battery.empty)

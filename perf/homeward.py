@@ -1,0 +1,160 @@
+"""Is a mission home within its budget, and what has it seen by then?
+
+    python perf/homeward.py                                      hours on two cores; goes on where it was
+    python perf/homeward.py --reefs 4 --wrecks 1                 some ten minutes
+    python perf/homeward.py --protocol dream-v2-nav              swimming
+
+Each world of `dev` is flown once without a budget. Then it may take a share of the seconds that this took,
+and has to be home by then. What it saw stands beside 1, since who knows the world and has the same budget
+sees no more than all of it: the ratio to that is at least what is told. Nothing is tuned on `test`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from dream.evaluation.engines import Failure, Processes, processors
+from dream.evaluation.metrics import Scorer, sight_in
+from dream.evaluation.runner import simulate
+from dream.evaluation.suites import Case, family_of, suite_named
+from dream.homeward import Budget
+from dream.planning import Belief
+from dream.sim.ordered import protocol_in
+from dream.sim.render import Renderer
+from dream.types import Step
+
+SHARES = (0.3, 0.5, 0.7, 1.0)
+"""Of what the free mission took."""
+
+
+@dataclass(frozen=True, slots=True)
+class Flown:
+    """One mission."""
+
+    world: str
+    seed: int
+    protocol: str
+    share: float | None
+    """Of the free mission's seconds; None of that mission itself."""
+    ended: str
+    steps: int
+    seconds: float
+    """On the mission's clock."""
+    budget: float | None
+    seen: float
+    """Share of the individuals."""
+    contacts: int
+    watt_hours: float | None
+
+
+def fly(task: tuple[Case, str, tuple[float, ...]]) -> list[Flown]:
+    """The missions in a world: the free one, then those with a budget."""
+    case, name, shares = task
+    world = case.open()
+    protocol = protocol_in(world, name)
+    sight, renderer = sight_in(world, protocol), Renderer(world)
+
+    def flown(share: float | None, budget: float | None) -> Flown:
+        scorer = Scorer(world, protocol, visibility=sight, renderer=renderer)
+        steps: Iterator[Step] = simulate(
+            world,
+            Belief(),
+            protocol,
+            start=case.start,
+            renderer=renderer,
+            solids=sight.solids,
+            budget=None if budget is None else Budget(seconds=budget),
+        )
+        for step in steps:
+            scorer.add(step)
+        told, seconds = scorer.summary(), step.observation.time
+        return Flown(
+            world=case.world,
+            seed=case.seed,
+            protocol=name,
+            share=share,
+            ended=told["ended"],
+            steps=told["steps"],
+            seconds=seconds,
+            budget=budget,
+            seen=told["coverage"]["instances"],
+            contacts=told["collisions"],
+            watt_hours=step.observation.drawn_wh,
+        )
+
+    free = flown(None, None)
+    return [free, *(flown(share, share * free.seconds) for share in shares)]
+
+
+def chosen(reefs: int, wrecks: int) -> list[Case]:
+    """The first reefs and wrecks of `dev`, kinds in turn."""
+    cases = suite_named("dev")
+    hulls = [case for case in cases if family_of(case.world).startswith("wreck")]
+    others = [case for case in cases if case not in hulls]
+    some = [others[k] for k in np.linspace(0, len(others) - 1, min(reefs, len(others))).round().astype(int)]
+    return [*some, *hulls[:wrecks]]
+
+
+def told(flown: list[Flown]) -> str:
+    """A table: how many were home in time, and what they had seen."""
+    heads = ("budget", "missions", "home", "late", "most used", "seen", "least", "contacts")
+    lines = ["{:>8} {:>8} {:>5} {:>5} {:>9} {:>6} {:>6} {:>8}".format(*heads)]
+    for share in dict.fromkeys(one.share for one in flown):
+        some = [one for one in flown if one.share == share]
+        home = [one for one in some if one.ended in ("done", "returned")]
+        used = [one.seconds / one.budget for one in some if one.budget]
+        late = sum(one > 1.0 for one in used)
+        lines.append(
+            f"{'none' if share is None else f'{share:.0%}':>8} {len(some):8} {len(home):5} {late:5} "
+            f"{max(used, default=float('nan')):9.2f} {np.mean([one.seen for one in some]):6.3f} "
+            f"{min(one.seen for one in some):6.3f} {sum(one.contacts for one in some):8}"
+        )
+    return "\n".join(lines)
+
+
+def main() -> int:
+    """Fly what is missing, and print the table of all."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--reefs", type=int, default=40)
+    parser.add_argument("--wrecks", type=int, default=10)
+    parser.add_argument("--protocol", default="dream-v2")
+    parser.add_argument("--shares", type=float, nargs="+", default=list(SHARES))
+    parser.add_argument("--jobs", type=int, default=processors())
+    parser.add_argument("--out", type=Path, default=Path("homeward.jsonl"), help="where missions are kept")
+    given = parser.parse_args()
+    kept = (
+        [Flown(**json.loads(line)) for line in given.out.read_text().splitlines()]
+        if given.out.exists()
+        else []
+    )
+    there = {(one.world, one.seed, one.protocol) for one in kept}
+    cases = [
+        case
+        for case in chosen(given.reefs, given.wrecks)
+        if (case.world, case.seed, given.protocol) not in there
+    ]
+    tasks = [[(case, given.protocol, tuple(given.shares))] for case in cases]
+    with given.out.open("a") as file:
+        for (case, *_), outcome in Processes(given.jobs).run(fly, tasks):
+            if isinstance(outcome, Failure):
+                print(f"{case.world} {case.seed}: {outcome.message}", file=sys.stderr)
+                continue
+            kept += outcome
+            file.writelines(f"{json.dumps(asdict(one))}\n" for one in outcome)
+            file.flush()
+            print(f"{case.world} {case.seed}: {', '.join(f'{one.seen:.2f}' for one in outcome)}", flush=True)
+    print(told([one for one in kept if one.protocol == given.protocol]))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

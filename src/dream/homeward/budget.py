@@ -1,0 +1,84 @@
+"""What a mission may spend until it is home, as its operator says."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from dream.geometry import Bounds
+from dream.homeward.pace import nominal_seconds
+from dream.protocol import SurveyProtocol
+from dream.types import LOOK_AROUND, Decision
+
+
+@dataclass(frozen=True, slots=True)
+class Budget:
+    """What a mission may spend until it is home; with the defaults it goes home and may spend what it
+    likes."""
+
+    seconds: float = math.inf
+    """On the mission's clock, from the first look."""
+    battery_wh: float = math.inf
+    """Watt-hours that all that the vehicle carries may draw, from the first look."""
+    home: tuple[float, float] | None = None
+    """x and y, metres in the world; where it begins unless given."""
+
+    def __post_init__(self) -> None:
+        for name, unit in (("seconds", "s"), ("battery_wh", "Wh")):
+            if not getattr(self, name) > 0.0:
+                raise ValueError(f"budget: expected more than 0 {unit}, got {getattr(self, name)}")
+        if self.home is not None and not all(map(math.isfinite, self.home)):
+            raise ValueError(f"home: expected finite metres, got {self.home}")
+
+    def as_dict(self) -> dict[str, Any]:
+        """As it stands in a file: what has no limit is None."""
+        limits = {name: getattr(self, name) for name in ("seconds", "battery_wh")}
+        told = {name: most if math.isfinite(most) else None for name, most in limits.items()}
+        return {**told, "home": None if self.home is None else list(self.home)}
+
+    @property
+    def options(self) -> list[str]:
+        """The words of a command line that say so."""
+        words = ["--return", "start" if self.home is None else f"{self.home[0]:g},{self.home[1]:g}"]
+        for option, most in (("--budget-s", self.seconds), ("--battery-wh", self.battery_wh)):
+            words += [option, f"{most:g}"] if math.isfinite(most) else []
+        return words
+
+    def check(self, bounds: Bounds, protocol: SurveyProtocol) -> None:
+        """Raise a ValueError where no mission can keep to it, whatever lies there.
+
+        Args:
+            bounds: The survey area.
+            protocol: Whose look-around every mission begins with.
+        """
+        least = LOOK_AROUND * nominal_seconds(Decision(turn=0.5 * math.pi))
+        if self.seconds < least:
+            raise ValueError(
+                f"budget: expected {least:.0f} s or more, which the first look around takes, "
+                f"got {self.seconds:g}"
+            )
+        if self.home is not None and not bounds.contains(*self.home, margin=protocol.body_radius):
+            raise ValueError(
+                f"home: expected a place inside the survey area, {bounds}, with room for the vehicle, "
+                f"got ({self.home[0]:g}, {self.home[1]:g})"
+            )
+
+
+def read_budget(told: Mapping[str, Any]) -> Budget:
+    """A budget from what `as_dict` made of it.
+
+    Raises:
+        ValueError: Something in it is no number, or none that a budget may have.
+    """
+    try:
+        limits = {
+            name: math.inf if told[name] is None else float(told[name]) for name in ("seconds", "battery_wh")
+        }
+        home = None if told["home"] is None else tuple(map(float, told["home"]))
+    except (KeyError, TypeError, ValueError) as error:
+        raise ValueError(f"budget: expected seconds, battery_wh and home, got {str(told)[:80]}") from error
+    if home is not None and len(home) != 2:
+        raise ValueError(f"budget: home: expected x and y, got {str(told['home'])[:80]}")
+    return Budget(home=home, **limits)

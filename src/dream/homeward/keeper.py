@@ -1,0 +1,165 @@
+"""When a mission has to turn round, and the moves that lead it home."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+from dream.control import setpoint
+from dream.geometry import SE2
+from dream.homeward.budget import Budget
+from dream.homeward.pace import DEVIATIONS, SPEED, TURN_RATE, Pace, nominal_seconds
+from dream.homeward.ways import Place, places, way_home
+from dream.types import Arrival, Balance, Decision, Home, Observation, Reasoning
+
+if TYPE_CHECKING:
+    from dream.mapping import OccupancyMap
+
+SURPRISE = 0.15
+"""Share by which a way may become longer since something solid shows in it: it was free by the map only."""
+COMPLETE = "the mission is complete"
+"""Why a mission goes home that has nothing left to do."""
+CRUISE_W = 100.0
+"""Watts that are believed in before any move was made: of a BlueROV2 Heavy at `SPEED`
+(`vehicle.PowerModel`)."""
+
+
+@dataclass(slots=True, eq=False)
+class Homeward:
+    """Keeps the way home affordable through a mission, and leads it home when that is due.
+
+    What it does: before every move, the way home from where that move ends, over what is known to be free,
+    has to take no more than what is left after the move, with a margin for how moves spread and for how far
+    the position may err. Else the mission turns round, and goes home from then on. A place to go home to that
+    no known way leads to is replaced by where the mission began. Where no way is known at all, one is
+    reckoned to take what all moves took so far.
+
+    Fails when: what was free turns out to be solid, so that no known way leads home. It looks around then,
+    until one does.
+    """
+
+    budget: Budget
+    start: Place
+    """Where the mission began: x, y and z, metres in the world."""
+    began: Observation
+    """The first look."""
+    cap: int
+    """Steps at most."""
+    why: str = ""
+    """Why it goes home; empty while it does not."""
+    _seconds: Pace = field(default_factory=Pace)
+    _watt_hours: Pace = field(default_factory=lambda: Pace(rate=CRUISE_W / 3600.0))
+    _sigma: float = 0.0
+    """Metres by which the position may err."""
+    _waited: float = 0.0
+    """Seconds that it stood still for answers."""
+    _made: list[Decision] = field(default_factory=list)
+    """All moves so far."""
+
+    @classmethod
+    def of(cls, budget: Budget, first: Observation, cap: int) -> Homeward:
+        """For a mission that begins with a look."""
+        return cls(budget, (first.pose.x, first.pose.y, first.z), first, cap)
+
+    def affords(self, move: Decision, seen: Observation, occupancy: OccupancyMap, steps: int) -> bool:
+        """Does the way home stay affordable when a move is made? Else it goes home from now on.
+
+        True for whatever it makes on its way home itself.
+
+        Args:
+            move: As the guard lets it pass.
+            seen: From where it begins.
+            occupancy: What is known.
+            steps: Made before it.
+        """
+        if self.why or move.done:
+            return True
+        to = setpoint(seen.pose, move, occupancy.protocol, seen.z)
+        way = self._way(SE2(to.x, to.y, to.yaw), seen.z if to.z is None else to.z, occupancy)
+        if way is None:
+            way = self._made  # Back the way that it came, which may show another.
+        balances = self._balances([move, *way], seen, steps, self._waited + move.waited)
+        short = next((one for one in balances if one.short), None)
+        if short is not None:
+            self.why = (
+                f"the way home takes up to {short.way + short.margin:.0f} {short.unit} with one more move, "
+                f"and {short.left:.0f} {short.unit} are left of the {short.name}"
+            )
+        return short is None
+
+    def move(self, seen: Observation, occupancy: OccupancyMap) -> Decision:
+        """The next move of the way home."""
+        way = self._way(seen.pose, seen.z, occupancy)
+        if way is None:
+            looks = "No way home is known: looking around for one."
+            return Decision(turn=0.5 * math.pi, reasoning=Reasoning(action=looks))
+        told = Reasoning(action=f"Going home, {len(way)} steps away: {self.why}.")
+        return replace(way[0] if way else Decision(), reasoning=told)
+
+    def move_instead(self, asked: Decision, seen: Observation, occupancy: OccupancyMap) -> Decision:
+        """The same in the place of what a planner asked for, with what asking took."""
+        return replace(self.move(seen, occupancy), exchanges=asked.exchanges, waited=asked.waited)
+
+    def learn(self, move: Decision, before: Observation, arrival: Arrival, after: Observation) -> None:
+        """Take in what a move took."""
+        nominal = nominal_seconds(move)
+        self._waited += move.waited
+        self._made.append(move)
+        self._seconds.learn(nominal, after.time - before.time)
+        self._watt_hours.learn(nominal, self._drawn(after) - self._drawn(before))
+        self._sigma = arrival.sigma
+
+    def after(
+        self, seen: Observation, occupancy: OccupancyMap, steps: int, *, complete: bool = False
+    ) -> Home:
+        """How it stands after so many steps.
+
+        Args:
+            seen: Where it is.
+            occupancy: What is known.
+            steps: Made so far.
+            complete: The mission has nothing left to do: it goes home.
+        """
+        self.why = self.why or seen.trouble or (COMPLETE if complete else "")
+        way = self._way(seen.pose, seen.z, occupancy)
+        if way is None:
+            return Home(None, (), self.why)
+        path = places(seen.pose, seen.z, way, occupancy)
+        return Home(path if way else (), self._balances(way, seen, steps, self._waited), self.why)
+
+    def _way(self, pose: SE2, z: float, occupancy: OccupancyMap) -> list[Decision] | None:
+        if self.budget.home is not None:
+            there = way_home(pose, z, occupancy, (*self.budget.home, self.start[2]))
+            if there is not None:
+                return there
+        return way_home(pose, z, occupancy, self.start)
+
+    def _balances(
+        self, way: list[Decision], seen: Observation, steps: int, waited: float
+    ) -> tuple[Balance, ...]:
+        """What is left now, after so many seconds of waiting, and what a way takes of it from here on."""
+        nominal, moves = sum(map(nominal_seconds, way)), len(way)
+        # What may come: a way round, a turn back to it, and a detour for where it really is.
+        more = SURPRISE * nominal + math.pi / TURN_RATE + DEVIATIONS * self._sigma / SPEED if way else 0.0
+        balances = [
+            Balance("steps", "steps", self.cap - steps, moves, math.ceil(SURPRISE * moves) + bool(way))
+        ]
+
+        def add(name: str, unit: str, left: float, pace: Pace) -> None:
+            takes = pace.mean(nominal, moves)
+            margin = pace.mean(nominal + more, moves) - takes + pace.margin(moves)
+            balances.append(Balance(name, unit, left, takes, margin))
+
+        if math.isfinite(self.budget.seconds):
+            spent = seen.time - self.began.time + waited
+            add("time", "s", self.budget.seconds - spent, self._seconds)
+        if math.isfinite(self.budget.battery_wh):
+            add("battery", "Wh", self.budget.battery_wh - self._drawn(seen), self._watt_hours)
+        return tuple(balances)
+
+    def _drawn(self, seen: Observation) -> float:
+        """Watt-hours since the first look, as measured; reckoned by the time where nobody does."""
+        if seen.drawn_wh is not None and self.began.drawn_wh is not None:
+            return seen.drawn_wh - self.began.drawn_wh
+        return (seen.time - self.began.time) * CRUISE_W / 3600.0
