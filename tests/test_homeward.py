@@ -26,7 +26,7 @@ from dream.report import repeating_command
 from dream.robots import Teleport
 from dream.sim.world import World
 from dream.sim.worlds import make_world
-from dream.types import Arrival, Label, Observation, Setpoint, Step
+from dream.types import Arrival, Decision, Label, Mission, Observation, Setpoint, Step
 
 
 @dataclass(slots=True)
@@ -145,7 +145,7 @@ class Motionless:
 @pytest.mark.parametrize(
     ("budget", "said"),
     [
-        (Budget(seconds=9.0), "expected 9 s or more, which the first look around takes"),
+        (Budget(seconds=9.0), "expected 10 s or more, which the first look around takes"),
         (Budget(home=(1000.0, 0.0)), "inside the survey area"),
         (Budget(home=(-14.9, 0.0)), "inside the survey area"),
     ],
@@ -294,6 +294,69 @@ def test_one_that_need_not_go_home_flies_as_before(reef: World) -> None:
         assert one.decision == other.decision
 
 
+@dataclass(frozen=True, slots=True)
+class Insisting:
+    """Says that it is done, again and again, whatever the map says."""
+
+    waited: float = 0.0
+
+    def begin(self, mission: Mission) -> Insisting:
+        return self
+
+    def decide(self, observation: Observation, occupancy: OccupancyMap) -> Decision:
+        return Decision(done=True, waited=self.waited)
+
+
+@pytest.mark.parametrize("waited", [0.0, 12.0])
+def test_who_insists_on_being_done_is_led_home_as_well(reef: World, waited: float) -> None:
+    steps = list(simulate(reef, Insisting(waited), DREAM_V1, budget=Budget(150.0), max_steps=40))
+    clock = steps[-1].observation.time + sum(step.decision.waited for step in steps)
+    assert steps[-1].ended == "returned"
+    assert clock <= 150.0
+
+
+@pytest.mark.parametrize("seconds", [60.0, 100.0, 200.0])
+def test_the_next_answer_may_take_as_long_as_the_longest(reef: World, seconds: float) -> None:
+    @dataclass(frozen=True, slots=True)
+    class Slow:
+        def begin(self, mission: Mission) -> Any:
+            pilot = Belief().begin(mission)
+
+            class Waiting:
+                def decide(self, observation: Observation, occupancy: OccupancyMap) -> Decision:
+                    return replace(pilot.decide(observation, occupancy), waited=12.0)
+
+            return Waiting()
+
+    steps = list(simulate(reef, Slow(), DREAM_V1, budget=Budget(seconds)))
+    assert steps[-1].observation.time + sum(step.decision.waited for step in steps) <= seconds
+    assert steps[-1].ended == "returned"
+
+
+def test_what_is_not_enough_for_the_place_that_was_asked_for_may_be_enough_for_the_start(reef: World) -> None:
+    start = reef.starts[0]
+    steps = flown(reef, Budget(14.0, home=(start.x + 5.0, start.y)))
+    assert at_home(steps[-1], (start.x, start.y))
+    assert steps[-1].observation.time <= 14.0
+
+
+def test_a_clock_that_goes_on_while_a_planner_thinks_counts_that_once(reef: World) -> None:
+    turned = []
+    for ticking in (False, True):
+        steps = list(
+            explore(
+                Teleport(reef, DREAM_V1),
+                Insisting(10.0),
+                OccupancyMap(reef.bounds, DREAM_V1),
+                budget=Budget(90.0),
+                max_steps=30,
+                ticking=ticking,
+            )
+        )
+        turned.append(steps[-1].index)
+    assert turned[0] < turned[1]
+
+
 def test_trouble_calls_a_mission_home_that_had_no_budget(reef: World) -> None:
     robot = Ailing(Teleport(reef, DREAM_V1), since=60.0)
     steps = list(explore(robot, Belief(), OccupancyMap(reef.bounds, DREAM_V1)))
@@ -360,7 +423,7 @@ def test_no_line_of_a_run_without_a_budget_speaks_of_home(empty_world: World) ->
     [
         (["--budget-s", "0"], "--budget-s: expected a number above 0, got 0"),
         (["--battery-wh", "-3"], "--battery-wh: expected a number above 0, got -3"),
-        (["--budget-s", "4"], "expected 9 s or more, which the first look around takes"),
+        (["--budget-s", "4"], "expected 10 s or more, which the first look around takes"),
         (["--return", "here"], "--return: expected start, or x and y in metres"),
         (["--return", "1,nan"], "--return: expected finite metres"),
         (["--return", "900,1"], "inside the survey area"),

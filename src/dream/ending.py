@@ -12,7 +12,7 @@ from dream.errors import MissionAborted, PlannerFailed
 
 WORDS: Mapping[str, str] = {
     "done": "the planner held the mission to be complete and its map agreed",
-    "returned": "it went home, since what was left had to be kept for the way",
+    "returned": "it turned round and went home",
     "cap": "all steps that it was given are spent",
 }
 """Of a mission that ended by itself, by `Step.ended`."""

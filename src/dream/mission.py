@@ -52,6 +52,7 @@ def explore(
     orders: Orders | None = None,
     prior: Prior | None = None,
     budget: Budget | None = None,
+    ticking: bool = False,
 ) -> Iterator[Step]:
     """Run one mission, yielding after every decision; the planner begins at once.
 
@@ -71,6 +72,7 @@ def explore(
         prior: What an earlier survey holds of the same ground, on the map's cells; only the planner hears of
             it, and only one that can use it does.
         budget: What it may spend until it is home; None where it need not go home.
+        ticking: Does the clock of the robot's observations go on while a planner waits for an answer?
 
     Returns:
         The steps; the map of each is the live one.
@@ -88,11 +90,16 @@ def explore(
     cap = protocol.cap if max_steps is None else max_steps
     cap = cap if orders.max_steps is None else min(cap, orders.max_steps)
     course = Course(planner, orders, occupancy, cap, prior)
-    return _steps(robot, course, occupancy, cap, budget)
+    return _steps(robot, course, occupancy, cap, budget, ticking)
 
 
 def _steps(
-    robot: Robot, course: Course, occupancy: OccupancyMap, cap: int, budget: Budget | None
+    robot: Robot,
+    course: Course,
+    occupancy: OccupancyMap,
+    cap: int,
+    budget: Budget | None,
+    ticking: bool,
 ) -> Iterator[Step]:
     protocol = occupancy.protocol
     observation = first = robot.observe()
@@ -101,8 +108,10 @@ def _steps(
     waiting = Decision()
     here = Arrival(observation.pose, collided=False, distance=0.0, clearance=math.inf)
     ended = "" if cap > 0 else "cap"
-    homeward = None if budget is None else Homeward.of(budget, observation, cap)
-    home = None if homeward is None else homeward.after(observation, occupancy, 0)
+    homeward = None
+    if budget is not None or first.trouble:
+        homeward = Homeward.of(budget or Budget(), first, cap, ticking=ticking)
+    home = None if homeward is None else homeward.stands(first, occupancy, 0)
     yield Step(
         0, waiting, Guarded(waiting), here, observation, occupancy, ended=ended, leg=course.leg, home=home
     )
@@ -120,20 +129,25 @@ def _steps(
         if decision.done and protocol.space is None:
             open_region = check_completion(occupancy, observation.pose).open_region
         guarded = guard(decision, observation.pose, occupancy, protocol, observation.z)
-        if homeward is not None and not homeward.affords(guarded.decision, observation, occupancy, index - 1):
+        over = decision.done and not open_region
+        if (
+            homeward is not None
+            and not over
+            and not homeward.affords(guarded.decision, observation, occupancy, index - 1)
+        ):
             decision = homeward.move_instead(decision, observation, occupancy)
             guarded = guard(decision, observation.pose, occupancy, protocol, observation.z)
         arrival = robot.go_to(setpoint(observation.pose, guarded.decision, protocol, observation.z))
         before, observation = observation, robot.observe()
         _integrate(occupancy, observation)
         if not course.over:
-            leg = course.after(index, done=decision.done and not open_region)
+            leg = course.after(index, done=over)
         ended = "done" if course.over else "cap" if index == cap else ""
         if homeward is None and observation.trouble:
-            homeward = Homeward.of(Budget(), first, cap)
+            homeward = Homeward.of(Budget(), first, cap, ticking=ticking)
         if homeward is not None:
             homeward.learn(guarded.decision, before, arrival, observation)
-            home = homeward.after(observation, occupancy, index, complete=course.over)
+            home = homeward.stands(observation, occupancy, index, complete=course.over)
             if not (homeward.why and home.reached):
                 ended = "cap" if index == cap else ""
             elif not course.over:

@@ -163,7 +163,7 @@ def _print_outcome(
     if summary["ended"] == "cap":
         print("  the mission was cut off there; --max-steps says where")
     if summary["home"] is not None:
-        print(f"  {_home(summary['home'])}")
+        print(f"  {home_told(summary['home'])}")
     if summary["ended"] == "aborted":
         print(f"  why: {summary['why']}")
     if steps:
@@ -206,7 +206,7 @@ def _print_outcome(
         print(f"  report: {page}")
 
 
-def _home(home: Mapping[str, Any]) -> str:
+def home_told(home: Mapping[str, Any]) -> str:
     """How it stood with the way home at the end, in a line."""
     where = "home" if home["reached"] else "not home"
     why = f", where it went since {home['why']}" if home["why"] else ""

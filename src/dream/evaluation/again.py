@@ -237,6 +237,7 @@ def fly_again(record: Record, planner: AnyPlanner, world: World | None) -> Itera
             orders=record.orders,
             prior=record.prior(occupancy.bounds),
             budget=budget,
+            ticking=record.config.dive is not None,
         )
     else:
         assert world is not None

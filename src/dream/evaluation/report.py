@@ -43,6 +43,7 @@ from dream.evaluation.results import Results, read_results
 from dream.evaluation.sealed import blocks_told
 from dream.evaluation.suites import LISTED
 from dream.files import write_whole
+from dream.homeward import read_budget
 from dream.planning import HUMAN, LABELLED, PLANNERS, Asking
 from dream.planning.vlm import WIRE_TEST
 from dream.report import digest, fill
@@ -283,6 +284,8 @@ def repeating_command(manifest: Mapping[str, Any]) -> str:
             words += ["--planners", *planners, "--protocol", str(manifest["protocol"]["name"])]
             if manifest["max_steps"] is not None:
                 words += ["--max-steps", str(manifest["max_steps"])]
+            if manifest.get("budget"):
+                words += read_budget(manifest["budget"]).options
             found.append(shlex.join([*words, *asking]))
     return " && ".join(found)
 

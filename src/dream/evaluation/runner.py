@@ -584,6 +584,9 @@ def fly_plan(plan: Plan, folder: Path, engine: Engine) -> Generator[Ended, None,
     """
     began = time.perf_counter()
     check_fits(plan.cases[0].open(), plan.protocol)
+    if plan.budget is not None:
+        for case in plan.cases:
+            check_home(plan.budget, case.open(), plan.protocol)
     with alone_at(folder, folder / ".lock"):
         manifest = _manifest(plan, folder, engine)
         write_manifest(folder, manifest)

@@ -11,6 +11,7 @@ from dream.geometry import Bounds
 from dream.homeward.pace import nominal_seconds
 from dream.protocol import SurveyProtocol
 from dream.types import LOOK_AROUND, Decision
+from dream.vehicle import HOTEL_W
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,9 +55,14 @@ class Budget:
             protocol: Whose look-around every mission begins with.
         """
         least = LOOK_AROUND * nominal_seconds(Decision(turn=0.5 * math.pi))
+        if self.battery_wh < least * HOTEL_W / 3600.0:
+            raise ValueError(
+                f"budget: expected {least * HOTEL_W / 3600.0:.2f} Wh or more, which the first look around "
+                f"draws, got {self.battery_wh:g}"
+            )
         if self.seconds < least:
             raise ValueError(
-                f"budget: expected {least:.0f} s or more, which the first look around takes, "
+                f"budget: expected {math.ceil(least)} s or more, which the first look around takes, "
                 f"got {self.seconds:g}"
             )
         if self.home is not None and not bounds.contains(*self.home, margin=protocol.body_radius):

@@ -6,12 +6,12 @@ import math
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
-from dream.control import setpoint
 from dream.geometry import SE2
 from dream.homeward.budget import Budget
 from dream.homeward.pace import DEVIATIONS, SPEED, TURN_RATE, Pace, nominal_seconds
-from dream.homeward.ways import Place, places, way_home
+from dream.homeward.ways import Place, after, places, way_home
 from dream.types import Arrival, Balance, Decision, Home, Observation, Reasoning
+from dream.vehicle import HOTEL_W
 
 if TYPE_CHECKING:
     from dream.mapping import OccupancyMap
@@ -52,15 +52,21 @@ class Homeward:
     _watt_hours: Pace = field(default_factory=lambda: Pace(rate=CRUISE_W / 3600.0))
     _sigma: float = 0.0
     """Metres by which the position may err."""
+    ticking: bool = False
+    """Does the clock of observations go on while a planner thinks?"""
     _waited: float = 0.0
-    """Seconds that it stood still for answers."""
+    """Seconds that it stood still for answers, beside that clock."""
+    _longest: float = 0.0
+    """Seconds that an answer took at most: the next may take as long."""
+    _to_start: bool = False
+    """Is the place that was asked for too far?"""
     _made: list[Decision] = field(default_factory=list)
     """All moves so far."""
 
     @classmethod
-    def of(cls, budget: Budget, first: Observation, cap: int) -> Homeward:
+    def of(cls, budget: Budget, first: Observation, cap: int, *, ticking: bool) -> Homeward:
         """For a mission that begins with a look."""
-        return cls(budget, (first.pose.x, first.pose.y, first.z), first, cap)
+        return cls(budget, (first.pose.x, first.pose.y, first.z), first, cap, ticking=ticking)
 
     def affords(self, move: Decision, seen: Observation, occupancy: OccupancyMap, steps: int) -> bool:
         """Does the way home stay affordable when a move is made? Else it goes home from now on.
@@ -73,20 +79,32 @@ class Homeward:
             occupancy: What is known.
             steps: Made before it.
         """
-        if self.why or move.done:
+        if self.why:
             return True
-        to = setpoint(seen.pose, move, occupancy.protocol, seen.z)
-        way = self._way(SE2(to.x, to.y, to.yaw), seen.z if to.z is None else to.z, occupancy)
-        if way is None:
-            way = self._made  # Back the way that it came, which may show another.
-        balances = self._balances([move, *way], seen, steps, self._waited + move.waited)
-        short = next((one for one in balances if one.short), None)
+        pose, z = after(seen.pose, seen.z, move, occupancy)
+        waited = self._waited if self.ticking else self._waited + move.waited
+        short = self._short(move, self._way(pose, z, occupancy), seen, steps, waited)
+        if short is not None and self.budget.home is not None:
+            # What is not enough for the place that was asked for may be enough for the start.
+            here = self._way(seen.pose, seen.z, occupancy)
+            self._to_start = self._short(Decision(), here, seen, steps, waited) is not None
         if short is not None:
+            most, digits = short.way + short.margin, 1 if short.unit == "Wh" else 0
             self.why = (
-                f"the way home takes up to {short.way + short.margin:.0f} {short.unit} with one more move, "
-                f"and {short.left:.0f} {short.unit} are left of the {short.name}"
+                f"the way home takes up to {most:.{digits}f} {short.unit} with one more move, "
+                f"and {short.left:.{digits}f} {short.unit} are left of the {short.name}"
             )
         return short is None
+
+    def _short(
+        self, move: Decision, way: list[Decision] | None, seen: Observation, steps: int, waited: float
+    ) -> Balance | None:
+        """What may be short for a way home after a move; None where nothing may.
+
+        Where no way is known it is reckoned as what all moves took so far.
+        """
+        balances = self._balances([move, *(self._made if way is None else way)], seen, steps, waited)
+        return next((one for one in balances if one.short), None)
 
     def move(self, seen: Observation, occupancy: OccupancyMap) -> Decision:
         """The next move of the way home."""
@@ -101,16 +119,19 @@ class Homeward:
         """The same in the place of what a planner asked for, with what asking took."""
         return replace(self.move(seen, occupancy), exchanges=asked.exchanges, waited=asked.waited)
 
-    def learn(self, move: Decision, before: Observation, arrival: Arrival, after: Observation) -> None:
+    def learn(self, move: Decision, before: Observation, arrival: Arrival, seen: Observation) -> None:
         """Take in what a move took."""
         nominal = nominal_seconds(move)
-        self._waited += move.waited
+        if not self.ticking:
+            self._waited += move.waited
+        self._longest = max(self._longest, move.waited)
         self._made.append(move)
-        self._seconds.learn(nominal, after.time - before.time)
-        self._watt_hours.learn(nominal, self._drawn(after) - self._drawn(before))
+        thinking = move.waited if self.ticking else 0.0
+        self._seconds.learn(nominal, max(seen.time - before.time - thinking, 0.0))
+        self._watt_hours.learn(nominal, self._drawn(seen) - self._drawn(before))
         self._sigma = arrival.sigma
 
-    def after(
+    def stands(
         self, seen: Observation, occupancy: OccupancyMap, steps: int, *, complete: bool = False
     ) -> Home:
         """How it stands after so many steps.
@@ -129,7 +150,8 @@ class Homeward:
         return Home(path if way else (), self._balances(way, seen, steps, self._waited), self.why)
 
     def _way(self, pose: SE2, z: float, occupancy: OccupancyMap) -> list[Decision] | None:
-        if self.budget.home is not None:
+        """To the place that was asked for, while that can be reached in time; else to the start."""
+        if self.budget.home is not None and not self._to_start:
             there = way_home(pose, z, occupancy, (*self.budget.home, self.start[2]))
             if there is not None:
                 return there
@@ -146,16 +168,20 @@ class Homeward:
             Balance("steps", "steps", self.cap - steps, moves, math.ceil(SURPRISE * moves) + bool(way))
         ]
 
-        def add(name: str, unit: str, left: float, pace: Pace) -> None:
+        def add(name: str, unit: str, left: float, pace: Pace, think: float) -> None:
             takes = pace.mean(nominal, moves)
             margin = pace.mean(nominal + more, moves) - takes + pace.margin(moves)
+            if not self.why:
+                margin += think
             balances.append(Balance(name, unit, left, takes, margin))
 
         if math.isfinite(self.budget.seconds):
             spent = seen.time - self.began.time + waited
-            add("time", "s", self.budget.seconds - spent, self._seconds)
+            add("time", "s", self.budget.seconds - spent, self._seconds, self._longest)
         if math.isfinite(self.budget.battery_wh):
-            add("battery", "Wh", self.budget.battery_wh - self._drawn(seen), self._watt_hours)
+            # Who waits draws what everything but the thrusters does, which a simulated clock leaves out.
+            left = self.budget.battery_wh - self._drawn(seen) - waited * HOTEL_W / 3600.0
+            add("battery", "Wh", left, self._watt_hours, self._longest * HOTEL_W / 3600.0)
         return tuple(balances)
 
     def _drawn(self, seen: Observation) -> float:

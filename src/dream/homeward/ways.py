@@ -46,12 +46,17 @@ def way_home(pose: SE2, z: float, occupancy: OccupancyMap, home: Place) -> list[
     return ways.to(pose, z, goal, np.ones(protocol.headings, np.bool_))
 
 
+def after(pose: SE2, z: float, move: Decision, occupancy: OccupancyMap) -> tuple[SE2, float]:
+    """Where a move leads: pose and height."""
+    to = setpoint(pose, move, occupancy.protocol, z)
+    return SE2(to.x, to.y, to.yaw), z if to.z is None else to.z
+
+
 def places(pose: SE2, z: float, moves: list[Decision], occupancy: OccupancyMap) -> tuple[Place, ...]:
     """Where moves lead, one after the other; turns on the spot add none."""
     found: list[Place] = []
     for move in moves:
-        to = setpoint(pose, move, occupancy.protocol, z)
-        pose, z = SE2(to.x, to.y, to.yaw), z if to.z is None else to.z
+        pose, z = after(pose, z, move, occupancy)
         if move.advance > 0.0 or move.climb != 0.0:
             found.append((pose.x, pose.y, z))
     return tuple(found)

@@ -226,9 +226,9 @@ def draw_cells(
     _draw_grid(picture, sheet)
     if area is not None:
         _draw_outline(picture, sheet, area)
+    _draw_trail(picture, sheet, points[:, :2])
     if home is not None:
         _draw_dots(picture, sheet, np.asarray(home, np.float64).reshape(-1, 2))
-    _draw_trail(picture, sheet, points[:, :2])
     for mark in reversed(marks):
         _draw_way(picture, sheet, mark)
     if pose is not None:

@@ -33,7 +33,7 @@ function wayHome(step) {
   const { path, why } = step.home;
   if (!known(path)) return [["Way home", "No way is known", "bad"]];
   if (path.length === 0) return [["Way home", "It is home", why ? "good" : ""]];
-  const lines = balances(step).map(({ way, margin, left, name, short }) => [`Home by ${name}`, `${way}, ${margin} more at most, of ${left} left`, short ? "warn" : ""]);
+  const lines = balances(step).map(({ way, margin, left, name, short }) => [`Home by ${name}`, `${way}, ${margin} more at most; left: ${left}`, short ? "warn" : ""]);
   return [...(why ? [["Goes home", why, "warn"]] : []), ...lines];
 }
 

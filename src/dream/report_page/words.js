@@ -40,17 +40,20 @@ const guardChanged = ({ decision, guarded }) =>
   guarded.note !== "" || Math.abs(decision.turn - guarded.turn) > 1e-9 || Math.abs(decision.advance - guarded.advance) > 1e-9 ||
   Math.abs((decision.climb ?? 0) - (guarded.climb ?? 0)) > 1e-9 || (decision.tilt ?? null) !== (guarded.tilt ?? null);
 
+// Whether more was spent than it had.
+const late = ({ home }) => Boolean(home?.balances.some(({ left }) => left < 0));
+
 // How a mission ended by itself, and whether that is well.
 const ends = (step) => ({
   done: [inSpace(step) ? "The planner is done" : "The planner is done and the map agrees", "good"],
-  returned: ["It is home: it turned back in time", "good"],
+  returned: late(step) ? ["It turned round and is home, late", "warn"] : ["It turned round and is home", "good"],
   cap: ["Out of steps", "warn"],
 })[step.ended];
 
 // What is left beside what the way home takes; empty where no way is known.
 const balances = ({ home }) => home.balances.map(({ name, unit, left, way, margin }) => {
   const amount = (value) => (unit === "s" ? minutes(value) : `${value.toFixed(unit === "Wh" ? 1 : 0)} ${unit}`);
-  return { name, left: amount(Math.max(0, left)), way: amount(way), margin: amount(margin), short: way + margin > left };
+  return { name, left: left < 0 ? `${amount(-left)} too much` : amount(left), way: amount(way), margin: amount(margin), short: way + margin > left };
 });
 
 // Whether it called the mission complete before its steps were used up, and the map did not agree.
@@ -90,7 +93,7 @@ function outcome(run) {
   }
   if (summary.ended === "returned") {
     const why = summary.home?.why;
-    return { badge: "Returned", tone: "good", text: `It turned back and was home after ${plural(summary.steps, "step")}${came}${why ? `: ${why}` : ""}.` };
+    return { badge: "Returned", tone: last && late(last) ? "warn" : "good", text: `It turned round and was home after ${plural(summary.steps, "step")}${came}${why ? `: ${why}` : ""}.` };
   }
   if (summary.ended === "cap")
     return { badge: "Out of steps", tone: "warn", text: `It used all ${summary.steps} steps${came}${claims(steps)}.` };

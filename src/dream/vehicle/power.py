@@ -60,8 +60,8 @@ class PowerModel:
     """What a vehicle draws by the forces of its thrusters, whatever the voltage.
 
     What it does: a propeller's power goes with about the 1.5th power of its force (actuator disk); the
-    exponents and factors are fitted to the maker's table at 16 V. Fails when: at full throttle at 12 V it is
-    11 % too much, and below 5 N up to 16 %.
+    exponents and factors are fitted to the maker's table at 16 V.
+    Fails when: below 4 N it is up to a third too little; at 12 V up to 17 % too much.
     """
 
     ahead: tuple[float, float] = (0.801, 1.564)

@@ -1124,6 +1124,23 @@ def test_a_leak_shows_in_the_sensors_health_too(dive: Dive) -> None:
     assert math.isnan(dive.link.telemetry.voltage)
 
 
+def test_what_was_drawn_is_the_sum_of_volts_times_amperes_also_over_a_gap(dive: Dive) -> None:
+    def tell(volts: float, amperes: float | None) -> float:
+        current = -1 if amperes is None else round(100.0 * amperes)
+        numbers = 0, 0, 0, 0, round(1000.0 * volts), current, 62, 0, 0, 0, 0, 0, 0
+        dive.vehicle.say(dialect.MAVLink_sys_status_message(*numbers))
+        return dive.link.telemetry.drawn_wh
+
+    assert math.isnan(tell(15.0, None))
+    assert tell(15.0, 4.0) == 0.0
+    dive.clock.time += 60.0
+    assert tell(15.0, 4.0) == pytest.approx(1.0)
+    dive.clock.time += 60.0
+    assert tell(15.0, None) == pytest.approx(1.0)
+    dive.clock.time += 60.0
+    assert tell(15.0, 8.0) == pytest.approx(1.0 + 15.0 * 6.0 * 120.0 / 3600.0)
+
+
 def test_loss_is_counted_by_sequence_numbers(dive: Dive) -> None:
     for k in range(300):
         dive.clock.time += 0.01

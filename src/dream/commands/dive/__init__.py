@@ -178,6 +178,9 @@ class Dive:
         check_installed(self.planner)
         extras.check_installed("rov", "dive", "pymavlink", "cv2", "rosbags", "ruamel.yaml")
         check_options(self)
+        budget = self.homing.budget()
+        if budget is not None and self.area is not None:
+            budget.check(Bounds(*self.area), protocol_named(self.protocol))
         if self.area is not None:
             limits_told(self, Bounds(*self.area))
         # A file that cannot be read is told at a desk too, where no vehicle answers.
@@ -188,6 +191,7 @@ class Dive:
     def _dive(self, sight: Sight, site: Site | None, shown: contextlib.ExitStack, terminal: Terminal) -> int:
         """The same; a page that stays until it is closed is left to `shown`: the vehicle waits for none."""
         from dream import recording
+        from dream.evaluation.runner import check_home
 
         protocol = protocol_named(self.protocol)
         name = planner_name(self.planner)
@@ -226,6 +230,8 @@ class Dive:
             limits = limits_told(self, waters.area)
             if (budget := self.homing.budget()) is not None:
                 budget.check(waters.area, protocol)
+                if tank is not None:
+                    check_home(budget, tank.world, protocol)
             devices = stack.enter_context(opened(self, waters, folder, begun))
             ready = Ready(self, protocol, devices, limits, waters.start, folder, tank, sight, known)
             tell(f"listening to the sensors for {STILL:g} s: the vehicle has to lie still", quiet=self.json)

@@ -127,6 +127,7 @@ class Flight:
                     max_steps=told.max_steps,
                     prior=ready.known.prior,
                     budget=told.homing.budget(),
+                    ticking=True,
                 )
                 recorded = recording.record(
                     self._logged(steps, vehicle),

@@ -13,6 +13,7 @@ import numpy as np
 
 from dream import __version__
 from dream.commands.dive.options import mounting_told, repeating_command
+from dream.commands.outcome import home_told
 from dream.ending import ENDED, why
 from dream.planning import PLANNERS
 from dream.planning.identity import identity
@@ -132,6 +133,8 @@ def print_outcome(summary: Mapping[str, Any], page: Path | None) -> None:
     ended = ENDED[summary["ended"]]
     print(f"{summary['world']} {summary['seed']} · {summary['planner']} · {summary['protocol']}")
     print(f"  {ended} after {summary['steps']} steps and {summary['distance_m']:.1f} m")
+    if summary["home"] is not None:
+        print(f"  {home_told(summary['home'])}")
     if summary["ended"] == "aborted":
         print(f"  why: {summary['why']}")
     if summary["coverage"]["instances"] is not None:

@@ -127,6 +127,8 @@ class Reports:
         """Fields of `Telemetry` that are known."""
         self.seen: dict[str, float] = {}
         """When a kind of message last came: heartbeat, imu, attitude, pressure, own_altitude and so on."""
+        self._metered: tuple[float, float] | None = None
+        """When the battery monitor last told a current, and the watts by it."""
         self.texts: deque[tuple[float, int, str]] = deque(maxlen=200)
         """(time, severity, text) of what the vehicle said; severity 0 is worst."""
         self.reboots = 0
@@ -331,8 +333,9 @@ class Reports:
         self.values["battery"] = percent / 100.0 if 0 <= percent <= 100 else math.nan
         if message.current_battery >= 0 and 0 < millivolts < 65535:
             watts = millivolts / 1000.0 * message.current_battery / 100.0
-            since = now - self.seen["status"] if "status" in self.seen else 0.0
-            self.values["drawn_wh"] = self.values.get("drawn_wh", 0.0) + watts * since / 3600.0
+            then, drew = self._metered or (now, watts)
+            drawn = self.values.get("drawn_wh", 0.0) + 0.5 * (watts + drew) * (now - then) / 3600.0
+            self.values["drawn_wh"], self._metered = drawn, (now, watts)
         leak = self._dialect.MAV_SYS_STATUS_SENSOR_LEAK
         if message.onboard_control_sensors_present & self._dialect.MAV_SYS_STATUS_EXTENSION_USED:
             enabled = message.onboard_control_sensors_enabled_extended & leak
