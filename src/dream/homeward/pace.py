@@ -31,8 +31,9 @@ class Pace:
     """What moves take of one thing: so much for each nominal second, and so much for each move beside.
 
     What it does: linear regression by least squares of what moves took on their nominal seconds, with a prior
-    of a few moves; the residuals say how far a way of some moves may take more than its mean. Assumes: moves
-    err independently. Reference: Bayesian linear regression with a conjugate prior (Gelman et al., *Bayesian
+    of a few moves; the residuals say how far a way of some moves may take more than its mean.
+    Assumes: moves err independently.
+    Reference: Bayesian linear regression with a conjugate prior (Gelman et al., *Bayesian
     Data Analysis*, 14).
     """
 

@@ -318,6 +318,7 @@ def _launched(
         heading, error = motion.compass.read(k / motion.compass.rate, x, error, rng)
         off.append(wrap_angle(heading.yaw - T_world_base.yaw))
     zero = float(np.mean(off))
+    watt_commands, watt_roots = watt_points(truth.thrusters.voltage)
     ship = _kernels.Ship(
         body=truth.body,
         flow=current.flow,
@@ -340,8 +341,8 @@ def _launched(
         gains=motion.helmsman.gains,
         nominal=nominal(motion.vehicle.slowest, motion.vehicle.thrusters),
         limits=motion.watch.limits,
-        watt_commands=watt_points(truth.thrusters.voltage)[0],
-        watt_roots=watt_points(truth.thrusters.voltage)[1],
+        watt_commands=watt_commands,
+        watt_roots=watt_roots,
         hotel=HOTEL_W,
         dt=BEAT,
         depth_every=round(1.0 / (motion.gauge.rate * BEAT)),

@@ -44,12 +44,4 @@ def command(commands: Float64Array, roots: Float64Array, force: float) -> float:
     if force == 0.0:
         return 0.0
     root = math.copysign(math.sqrt(abs(force)), force)
-    if root <= roots[0]:
-        return float(commands[0])
-    if root >= roots[-1]:
-        return float(commands[-1])
-    k = 1
-    while roots[k] < root:
-        k += 1
-    part = (root - roots[k - 1]) / (roots[k] - roots[k - 1])
-    return float(commands[k - 1] + part * (commands[k] - commands[k - 1]))
+    return between(roots, commands, root)
