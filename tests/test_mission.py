@@ -4,19 +4,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
 
 from dream.errors import PlannerFailed
 from dream.evaluation.runner import simulate
+from dream.geometry import SE2
 from dream.mapping import OccupancyMap
 from dream.mission import explore
-from dream.protocol import DREAM_V1
+from dream.protocol import DREAM_V1, DREAM_V2
 from dream.robots import Teleport
 from dream.sim.world import World
-from dream.types import LOOK_AROUND, Decision, Mission, Observation
+from dream.types import LOOK_AROUND, Arrival, Decision, Label, Mission, Observation, Setpoint
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,6 +36,12 @@ class Reader:
 
     def decide(self, observation: Observation, occupancy: OccupancyMap) -> Decision:
         return next(self.lines, Decision())
+
+
+class ScriptedInSpace(Scripted):
+    """Flies in space."""
+
+    spatial = True
 
 
 def script(*decisions: Decision) -> Scripted:
@@ -122,3 +129,38 @@ class Cannot:
 def test_a_planner_that_cannot_begin_fails_before_the_first_step_is_asked_for(empty_world: World) -> None:
     with pytest.raises(PlannerFailed, match="begin: ValueError: model: expected one, got none"):
         simulate(empty_world, Cannot(), DREAM_V1)
+
+
+def test_what_was_touched_is_not_run_into_again(string_reef: World) -> None:
+    """By a robot that takes a boulder for open water."""
+    tall = np.argmax(string_reef.obstacles.scale[:, 2])
+    x, y = map(float, string_reef.obstacles.position[tall, :2])
+    protocol = DREAM_V2
+    height = protocol.launch_height(float(string_reef.terrain.height(x - 4.0, y)))
+    robot = Teleport(string_reef, protocol, SE2(x - 4.0, y, 0.0))
+    occupancy = OccupancyMap(string_reef.bounds, protocol)
+
+    class Blind:
+        def observe(self) -> Observation:
+            seen = robot.observe()
+            return replace(
+                seen,
+                depth=np.full_like(seen.depth, 12.0),
+                labels=np.full_like(seen.labels, Label.SEABED),
+                confidence=None,
+            )
+
+        def go_to(self, setpoint: Setpoint) -> Arrival:
+            return robot.go_to(setpoint)
+
+    ahead = Decision(advance=max(protocol.advances))
+    east = ScriptedInSpace((Decision(turn=0.5 * math.pi), *[ahead] * 8))
+    moves = list(explore(Blind(), east, occupancy, max_steps=12))[LOOK_AROUND + 2 :]
+    touched = [step.index for step in moves if step.arrival.collided]
+    assert len(touched) == 1
+    # The guard holds it up from then on.
+    assert all(step.guarded.note for step in moves if step.index > touched[0])
+    contact = next(step.arrival.contact for step in moves if step.arrival.collided)
+    assert contact is not None
+    assert math.isclose(contact[2], height, abs_tol=0.5)
+    assert math.hypot(contact[0] - x, contact[1] - y) < 3.0

@@ -137,9 +137,12 @@ def _steps(
         ):
             decision = homeward.move_instead(decision, observation, occupancy)
             guarded = guard(decision, observation.pose, occupancy, protocol, observation.z)
-        arrival = robot.go_to(setpoint(observation.pose, guarded.decision, protocol, observation.z))
+        to = setpoint(observation.pose, guarded.decision, protocol, observation.z)
+        arrival = robot.go_to(to)
         before, observation = observation, robot.observe()
         _integrate(occupancy, observation)
+        if arrival.contact is not None and to.z is not None:
+            occupancy.feel(observation.T_world_base.translation, arrival.contact, (to.x, to.y, to.z))
         if not course.over:
             leg = course.after(index, done=over)
         ended = "done" if course.over else "cap" if index == cap else ""

@@ -308,6 +308,9 @@ class Arrival:
     truth: SE3 | None = None
     """`T_world_base` as it really is, which only a simulator knows, for scoring; None where the pose that is
     believed is the true one."""
+    contact: tuple[float, float, float] | None = None
+    """Where the body's centre was when it touched something: x, y and z, metres in the world, as it believes;
+    None where it touched nothing."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -159,11 +159,12 @@ def test_every_picture_of_a_run_is_told(run: Path) -> None:
 def test_every_array_of_an_observation_is_told(run: Path, tmp_path: Path) -> None:
     told = described("observations/")
     with np.load(run / "observations" / "0003.npz") as arrays:
-        assert set(told) - set(arrays.files) == {"confidence", "error", "trouble"}
+        assert set(told) - set(arrays.files) == {"confidence", "contact", "error", "trouble"}
     seen = painted_observation(1, SE2(0.0, 0.0, 0.0), np.random.default_rng(1))
     ones = np.ones_like(seen.depth)
     sure = dataclasses.replace(seen, confidence=ones, error=ones, drawn_wh=1.0, trouble="a lamp is out")
-    arrival = Arrival(SE2(0.0, 0.0, 0.0), False, 1.0, 2.0, truth=SE3.level(0.0, 0.0, 0.0, 0.0))
+    truth = SE3.level(0.0, 0.0, 0.0, 0.0)
+    arrival = Arrival(truth.se2, True, 1.0, 2.0, truth=truth, contact=(0.0, 0.0, 0.0))
     replay.write(tmp_path / "0001.npz", Kept(Move(Setpoint(0.0, 0.0, 0.0, 2.0), arrival), sure))
     into_space = Setpoint(0.0, 0.0, 0.0, None, -8.0)
     replay.write(tmp_path / "0002.npz", Kept(Move(into_space, arrival), sure))

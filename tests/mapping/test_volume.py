@@ -19,7 +19,7 @@ from dream.geometry import SE3, Bounds, Camera, camera_mount
 from dream.mapping._kernels import volume_frame as frame_kernels
 from dream.mapping._kernels import volume_surface as surface_kernels
 from dream.mapping._kernels.volume import SIDE
-from dream.mapping._kernels.volume_frame import CAST, MOST_VOTES
+from dream.mapping._kernels.volume_frame import CAST, MOST_VOTES, UNSURE
 from dream.mapping.volume import (
     BELIEVED,
     FREE,
@@ -181,7 +181,8 @@ class Twin:
         believed = hits[..., 0] > noisy * BELIEVED * covered * 16
         # What a ray passed.
         limit = min(farthest, self.sees if error is None else sees)
-        passed = self._passed(clear, camera, T, limit) & ~held
+        unsure = trusted & (False if error is None else error > UNSURE)
+        passed = self._passed(clear, unsure, camera, T, limit) & ~held
         self.odds[passed] = np.maximum(self.odds[passed] - MISS, LEAST)
         step = np.maximum((HIT * cell / np.maximum(2.0 * scatter * ahead**2, cell)).astype(int), 1)
         self.odds = np.where(believed, np.minimum(self.odds + step, MOST), self.odds)
@@ -226,13 +227,14 @@ class Twin:
                     farthest = max(farthest, float(tile.min()) * math.hypot(x, y, 1.0))
         return farthest
 
-    def _passed(self, clear: Array, camera: Camera, T: SE3, limit: float) -> Array:
+    def _passed(self, clear: Array, unsure: Array, camera: Camera, T: SE3, limit: float) -> Array:
         middles = (self.middles - T.translation) @ T.rotation
         size = np.array([camera.width, camera.height])
         half_pixel = 0.5 * middles[..., 2] / min(camera.fx, camera.fy)
         inner = np.maximum(0.5 - half_pixel / self.cell, frame_kernels.INNER)
         padded = np.pad(clear, 1)  # Outside the image nothing is clear.
         any_point, every_corner = np.zeros(self.size, np.bool_), np.ones(self.size, np.bool_)
+        may_be_there, covered = np.zeros(self.size, np.bool_), np.pad(unsure, 1)
         for signs in [(0, 0, 0), *itertools.product((-1, 1), repeat=3)]:
             around_corner = tuple(itertools.product((-0.5, 0.5), repeat=2))
             for off, around in ((inner, ((0.0, 0.0),)), (np.full_like(inner, 0.5), around_corner)):
@@ -247,7 +249,10 @@ class Twin:
                         every_corner &= passes
                     else:
                         any_point |= passes
-        return np.where(self.odds > 0, every_corner, any_point)
+                        may_be_there |= (
+                            near & (ahead > 0.0) & ~passes & covered[v + 1, u + 1].astype(np.bool_)
+                        )
+        return np.where(self.odds > 0, every_corner, any_point & ~may_be_there)
 
 
 @pytest.mark.few(3)
@@ -540,6 +545,48 @@ def test_what_the_body_swept_is_free_for_the_way_back() -> None:
     assert volume.room(way, way[::-1]).clear.all()
     for off in ([0.0, 0.0, 0.5], [0.6, 0.6, 0.0]):
         assert not volume.room(way[:1] + off, way[1:] + off).clear[0]
+
+
+def test_what_the_body_touched_stays_solid_whatever_is_seen(tmp_path: Path) -> None:
+    volume, here, goal = Volume(PROTOCOL), np.array([0.0, 0.0, -5.0]), np.array([2.0, 1.0, -5.0])
+    volume.clear(here, 4.0)
+    contact = here + 0.4 * (goal - here)
+    volume.feel(here, contact, goal)
+    far = np.full((CAMERA.height, CAMERA.width), 9.0)
+    for _ in range(10):
+        for x in (0.0, 1.5):
+            volume.integrate(far, np.full(far.shape, Label.SEABED), CAMERA, pose(x, 0.0, -5.0))
+        volume.clear_body(here, goal)
+    volume.save(tmp_path / "felt.npz")
+    for held in (volume, volume.copy(), Volume.load(tmp_path / "felt.npz")):
+        room = held.room([here, here, here, goal], [goal, here - (goal - here), here, here])
+        assert room.clear.tolist() == [False, True, True, False]
+        assert room.reason[0] == SOLID
+        # From twice the margin before the contact to a voxel beyond it.
+        early, late = 2.0 * MARGIN / math.sqrt(5.0), held.cell / math.sqrt(5.0)
+        assert 0.4 - early <= room.share[0] <= 0.4 + late
+
+
+def test_whoever_touches_without_being_on_its_way_learns_nothing() -> None:
+    volume, here = Volume(PROTOCOL), (0.0, 0.0, -5.0)
+    volume.clear(here, 4.0)
+    volume.feel(here, here, here)
+    assert not len(volume.surface().middles)
+
+
+def test_where_depths_err_the_edge_of_what_returned_is_not_free_for_what_passes_beside_it() -> None:
+    post = box((4.0, -0.3, -8.0), (4.5, 0.3, -4.83))
+    T = pose(0.0, 0.0, -5.0)
+    depth, labels = render([plane((0.0, 0.0, -7.0), (0.0, 0.0, 1.0)), post], T)
+    on_post = (depth > 3.9) & (depth < 4.6) & (labels != Label.WATER)
+    # It stands at 4 m, and a depth told twice as far marks nothing there.
+    told, error = np.where(on_post, 2.0 * depth, depth), np.where(on_post, 0.4, 0.02)
+    volume = Volume(PROTOCOL)
+    for _ in range(5):
+        volume.integrate(told, labels, CAMERA, T, None, np.where(np.isnan(told), np.nan, error))
+    edge = grid((3.9, -0.2, -5.1), (4.4, 0.2, -4.83), 0.5 * volume.cell)
+    assert not (volume.state(edge) == FREE).any()
+    assert (volume.state(edge + np.array([0.0, 0.0, 3.0 * volume.cell])) == FREE).all()
 
 
 def test_a_move_is_clear_as_far_as_the_body_fits() -> None:

@@ -270,6 +270,13 @@ class OccupancyMap(Layers):
             self._datum = float(place[2]) - self.protocol.altitude
         self._look_from_above(*place.tolist())
 
+    def feel(self, here: npt.ArrayLike, contact: npt.ArrayLike, goal: npt.ArrayLike) -> None:
+        """Take for solid what the body touched, in space; see `Volume.feel`."""
+        if self.volume is None:
+            raise ValueError("map: expected one with a volume to take something solid into, got none")
+        self.volume.feel(here, contact, goal)
+        self._look_from_above(*np.asarray(here, np.float64).tolist())
+
     def _look_from_above(self, x: float, y: float, z: float) -> None:
         """Write what the volume shows from above, as far as a frame from there may have changed it."""
         assert self.volume is not None

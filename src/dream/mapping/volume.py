@@ -17,7 +17,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from dream import arrays
 from dream.geometry import SE3, Bounds, Camera, FloatArray
 from dream.mapping._kernels import volume as bricks_kernels
-from dream.mapping._kernels.volume import SIDE, VOXELS, Bricks
+from dream.mapping._kernels.volume import FELT, SIDE, VOXELS, Bricks
 from dream.mapping.blocks import grown
 from dream.protocol import SurveyProtocol
 from dream.types import BoolArray, Float32Array, IntArray, Label, UInt8Array
@@ -27,7 +27,8 @@ KEPT = 1.5
 HIT, MISS = 17, 8
 """Steps of log-odds, in twentieths, of a voxel that something returned from, and of one that a ray passed."""
 LEAST, MOST = -16, 70
-"""Log-odds are kept between them: one return makes what was free solid, so that the guard knows at once."""
+"""Log-odds are kept between them: one return makes what was free solid, so that the guard knows at once. What
+the body touched has more, and keeps it."""
 HELD, BELIEVED = 0.03, 0.12
 """Of the pixels that a voxel covers, where depths scatter: where more return from it, the others of the frame
 do not clear it; and where more do, it is solid. In between a thin thing stays unknown, never free."""
@@ -180,7 +181,8 @@ class Volume:
             confidence: (H, W) the probability in [0, 1] that depth and label of a pixel are right: by so much
                 it counts, and below ½ it clears nothing. All are sure where None.
             error: (H, W) see `Observation.error`. A ray clears as far as its depth is sure to reach, however
-                sure its label is; and water no farther than anything is seen in the same frame.
+                sure its label is; and water no farther than anything is seen in the same frame. Where a depth
+                is unsure, what it covers beyond that is not cleared by other rays either.
 
         Raises:
             ValueError: The images do not fit the camera, labels are not labels, or the camera is farther away
@@ -246,6 +248,33 @@ class Volume:
         self.revision += 1
         body = kernels.SweptBody(*self._body)
         kernels.swept(self._bricks, way[0], way[1], body, self.cell, -MISS, self.revision)
+
+    def feel(self, here: npt.ArrayLike, contact: npt.ArrayLike, goal: npt.ArrayLike) -> None:
+        """Take for solid, for good, what the body touched on its straight way to a goal.
+
+        That is what a body with its margin would touch within the length of a voxel beyond the contact, but
+        for what it swept until twice the margin before: what is left lies within 60° of ahead, and does not
+        hold up who goes on beside it. Nothing where it was not on its way anywhere.
+
+        Args:
+            here: (3,) of the body's centre now, metres in the world.
+            contact: (3,) likewise, at the contact.
+            goal: (3,) likewise, where it was sent.
+        """
+        from dream.mapping._kernels import volume_room as kernels
+
+        points = self._points("here, contact and goal", np.array([here, contact, goal], np.float64))
+        place, onward = points[1], points[2] - points[1]
+        length = float(np.linalg.norm(onward))
+        if length == 0.0:
+            return
+        radius, half_height = self._body
+        bricks = math.ceil((2.0 * max(radius, half_height) + 3.0 * self.cell) / (SIDE * self.cell) + 1) ** 3
+        self._reserve(bricks, bricks)
+        self.revision += 1
+        body, ahead = kernels.SweptBody(radius, half_height), onward / length
+        before, end = place - 2.0 * MARGIN * ahead, place + self.cell * ahead
+        kernels.feel(self._bricks, points[0], before, place, end, body, self.cell, self.revision)
 
     # ---------------------------------------------------------------------------------- what comes out
 
@@ -595,8 +624,8 @@ def _check_content(found: dict[str, npt.NDArray[Any]], count: int, revision: int
     limit = bricks_kernels.FARTHEST
     if (names < -limit).any() or (names >= limit).any() or len(np.unique(_packed(names))) != count:
         raise ValueError("names: expected different bricks of the map, got others")
-    if (odds < LEAST).any() or (odds > MOST).any():
-        raise ValueError(f"log_odds: expected {LEAST} to {MOST}, got others")
+    if (odds < LEAST).any() or ((odds > MOST) & (odds != FELT)).any():
+        raise ValueError(f"log_odds: expected {LEAST} to {MOST} or {FELT}, got others")
     if (found["stamps"] < 0).any() or (found["stamps"] > revision).any():
         raise ValueError(f"stamps: expected 0 to {revision}, got others")
     if (surfaces < 1).any() or (surfaces > count).any() or (np.diff(surfaces) <= 0).any():

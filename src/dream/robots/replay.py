@@ -241,6 +241,8 @@ def write(path: Path, kept: Kept) -> None:
         }
         if to.z is not None:
             arrays["height"] = [to.z, math.nan if to.tilt is None else to.tilt]
+        if arrival.contact is not None:
+            arrays["contact"] = list(arrival.contact)
         if arrival.truth is not None:
             arrays["truth"] = _matrix(arrival.truth)
     with whole_or_nothing(path) as partial, partial.open("wb") as file:
@@ -278,6 +280,7 @@ def _kept(arrays: Arrays) -> Kept:
     )
     if "setpoint" not in arrays:
         return Kept(None, seen)
+    contact = _numbers(arrays, "contact", (3,)).tolist() if "contact" in arrays else None
     distance, clearance, sigma = _numbers(arrays, "travelled", (3,), inf=True).tolist()
     arrival = Arrival(
         pose=SE2(*_numbers(arrays, "arrival", (3,)).tolist()),
@@ -287,6 +290,7 @@ def _kept(arrays: Arrays) -> Kept:
         note=arrays["note"].tobytes().decode(),
         sigma=sigma,
         truth=_transform(arrays, "truth") if "truth" in arrays else None,
+        contact=(contact[0], contact[1], contact[2]) if contact else None,
     )
     return Kept(Move(_setpoint(arrays), arrival), seen)
 

@@ -230,14 +230,16 @@ class Simulated:
             raise Diverged(
                 f"motion: expected one that stays near the world, got none on the way to {setpoint}"
             )
+        collided, (x, y, z) = how == _kernels.COLLIDED, self.estimate.position.tolist()
         return Arrival(
             self.estimate.pose.se2,
-            collided=how == _kernels.COLLIDED,
+            collided=collided,
             distance=float(clock[_kernels.DISTANCE if setpoint.z is None else _kernels.WAY]),
             clearance=float(clock[_kernels.CLEARANCE]),
             note=_note(condition, late=how == _kernels.LATE),
             sigma=float(_kernels.position_sigma(self._state)),
             truth=self.truth,
+            contact=(x, y, z + self._camera.errors.height) if collided else None,
         )
 
     @property

@@ -86,12 +86,17 @@ class Teleport:
 
     def go_to(self, setpoint: Setpoint) -> Arrival:
         """Turn, then advance and climb; at contact, stop. The camera tilts on the way."""
-        start, z = self._pose, self._z
+        start, z, off = self._pose, self._z, self._camera.errors.height
         goal = SE2(setpoint.x, setpoint.y, setpoint.yaw)
         # Where it is sent is a height as it believes it.
-        height = None if setpoint.z is None else setpoint.z - self._camera.errors.height
+        height = None if setpoint.z is None else setpoint.z - off
         sweep = self._sweep(goal, height)
         collided = sweep.contact
+        contact = None
+        if collided:
+            up = z if height is None else z + sweep.free * (height - z)
+            x, y = (a + sweep.free * (b - a) for a, b in ((start.x, goal.x), (start.y, goal.y)))
+            contact = x, y, up + off
         end, height = self._last_free_node(goal, height, sweep.free) if collided else (goal, height)
         travelled = start.distance(end) if height is None else math.hypot(start.distance(end), height - z)
         swims, turns = travelled / SPEED, abs(wrap_angle(goal.yaw - start.yaw)) / TURN_RATE
@@ -102,8 +107,8 @@ class Teleport:
         self._tilt = self._tilt if setpoint.tilt is None else setpoint.tilt
         self._moves += 1
         # Where the mission's heights are off, what is told of the pose is not the truth.
-        truth = self._T_world_base() if self._camera.errors.height else None
-        return Arrival(end, collided, travelled, sweep.clearance, truth=truth)
+        truth = self._T_world_base() if off else None
+        return Arrival(end, collided, travelled, sweep.clearance, truth=truth, contact=contact)
 
     def _sweep(self, goal: SE2, z: float | None) -> Sweep:
         """How the way to a goal goes; to its altitude over ground where no height is given."""

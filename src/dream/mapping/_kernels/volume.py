@@ -26,6 +26,8 @@ FARTHEST = 1 << 20
 """Bricks from the origin beyond which there is none."""
 UNKNOWN, FREE, SOLID = 0, 1, 2
 """States of a voxel."""
+FELT = 127
+"""Log-odds of a voxel that the body touched: it stays solid, whatever is seen."""
 _EMPTY = -1
 _BRICKS, _SURFACES = 0, 1
 

@@ -16,7 +16,7 @@ import numpy.typing as npt
 from numba import njit
 
 from dream.geometry import FloatArray
-from dream.mapping._kernels.volume import BITS, SIDE, VOXELS, find, make, surface, within
+from dream.mapping._kernels.volume import BITS, FELT, SIDE, VOXELS, find, make, surface, within
 
 TILE = 4
 """Pixels along a tile, the least piece of an image that has a normal."""
@@ -34,6 +34,9 @@ afar all the time is so put right by a look from near by, however many looks the
 SHORT = 3.0
 """Mean errors by which a ray ends before the depth that is told: of a Laplace distribution a 40th
 is nearer."""
+UNSURE = 0.15
+"""Mean error of a depth's logarithm above which what returned may be anywhere on its ray: what it covers is
+not cleared by other rays. What the network that comes with DREAM says of ground is hardly ever above it."""
 INNER = 0.2
 """Of a voxel's side: at least so far from its middle, towards each corner, it is looked up too; farther where
 half a pixel is less than what is left to the corner, so that a ray that is told to pass does."""
@@ -94,7 +97,7 @@ class FrameScratch(NamedTuple):
     """Working memory, kept from frame to frame; all that is not said to be overwritten is zero between."""
 
     clear_to: npt.NDArray[np.float32]
-    """(H, W) depth up to which a pixel's ray is clear; overwritten."""
+    """(H, W) depth up to which a pixel's ray is clear, negated where its depth is `UNSURE`; overwritten."""
     inverse: npt.NDArray[np.float32]
     """(H, W) 1 / depth, NaN where there is none; overwritten."""
     tiles: npt.NDArray[np.float32]
@@ -168,7 +171,7 @@ def read(depth, labels, weights, errors, water, lens, rule, scratch):
     nearest, greatest = np.float32(lens.limits[0]), np.float32(lens.limits[1])
     scatter, bias = np.float32(rule.scatter), np.float32(rule.bias)
     clear_to, inverse = scratch.clear_to, scratch.inverse
-    nothing, endless = np.float32(0.0), np.float32(np.inf)
+    nothing, least, endless = np.float32(0.0), np.float32(1e-6), np.float32(np.inf)
     for v in range(height):
         for u in range(width):
             z = depth[v, u]
@@ -180,6 +183,8 @@ def read(depth, labels, weights, errors, water, lens, rule, scratch):
             # Not `<=`: where the error is NaN, nothing is clear.
             if not clear > nothing:
                 clear = nothing
+            if errors.size and errors[v, u] > UNSURE:
+                clear = -max(clear, least)
             clear_to[v, u] = clear if returned else (endless if through else nothing)
             inverse[v, u] = np.float32(1.0) / z if returned else np.float32(np.nan)
     if weights.size:
@@ -211,7 +216,7 @@ def _tiles(lens, rule, scratch, height, width):
         for v in range(TILE * i, min(TILE * i + TILE, height)):
             below = v - TILE * i - 0.5 * (TILE - 1)
             for u in range(width):
-                w, clear = np.float64(inverse[v, u]), clear_to[v, u]
+                w, clear = np.float64(inverse[v, u]), abs(clear_to[v, u])
                 sums[0, u] += w
                 sums[1, u] += below * w
                 bounds[0, u] = min(bounds[0, u], clear)
@@ -366,7 +371,8 @@ def settle(bricks, lens, rule, window, scratch, found, limit, stamp):
         # A depth that scatters over several voxels tells each of them less.
         sure = side / max(2.0 * rule.scatter * z * z, side)
         step = max(int(rule.hit * sure), 1)
-        log_odds[slot, number] = min(np.int64(log_odds[slot, number]) + step, rule.most)
+        odds = np.int64(log_odds[slot, number])
+        log_odds[slot, number] = max(min(odds + step, rule.most), odds)
         at = surface_of[slot]
         _vote(votes, at, number, of_target / count, _cast(dx * dx + dy * dy + dz * dz))
         if kind & NEAR and dx * dx + dy * dy + dz * dz <= rule.trusted * rule.trusted:
@@ -514,19 +520,27 @@ def _classify(tiles, levels, pinhole, edges, size, limit, x, y, z, extent):
 
 @njit(cache=True, nogil=True)
 def _is_passed(clear_to, pinhole, limit, x, y, z, side, corners):
-    """Does a ray pass a voxel about (x, y, z), in the camera's axes, by any of some points of it?"""
+    """Does a ray pass a voxel about (x, y, z), in the camera's axes, by any of some points of it?
+
+    And does by none of them something return that may be there?
+    """
     fx, fy, cx, cy = pinhole
     height, width = clear_to.shape
     off = max(0.5 * side - 0.5 * z / min(fx, fy), INNER * side)
+    passed = False
     for s in range(len(corners)):
         right, down, ahead = x + off * corners[s, 0], y + off * corners[s, 1], z + off * corners[s, 2]
         if ahead <= 0.0 or right * right + down * down + ahead * ahead > limit * limit:
             continue
         over = 1.0 / ahead
         u, v = fx * right * over + cx, fy * down * over + cy
-        if 0.0 <= u < width and 0.0 <= v < height and clear_to[int(v), int(u)] >= ahead:
-            return True
-    return False
+        if 0.0 <= u < width and 0.0 <= v < height:
+            clear = clear_to[int(v), int(u)]
+            if abs(clear) >= ahead:
+                passed = True
+            elif clear < 0.0:
+                return False
+    return passed
 
 
 @njit(cache=True, nogil=True)
@@ -547,8 +561,8 @@ def _is_seen_through(clear_to, pinhole, limit, x, y, z, corners):
             return False
         i, j = int(v), int(u)
         nearest = min(
-            min(clear_to[i, j], clear_to[i, j + 1]),
-            min(clear_to[i + 1, j], clear_to[i + 1, j + 1]),
+            min(abs(clear_to[i, j]), abs(clear_to[i, j + 1])),
+            min(abs(clear_to[i + 1, j]), abs(clear_to[i + 1, j + 1])),
         )
         if nearest < ahead:
             return False
@@ -672,6 +686,7 @@ def _clear_brick(
         least, miss = np.int8(rule.least), np.int8(rule.miss)
         for n in range(VOXELS):
             value = max(np.int8(max(odds[n], np.int8(least + miss)) - miss), least)
+            value = odds[n] if odds[n] == FELT else value
             odds[n] = value
             greatest = max(greatest, value)
         bricks.saturated[slot], bricks.stamps[slot] = (_ALL if greatest <= least else 0), stamp
@@ -702,7 +717,9 @@ def _clear_brick(
             for line in range(quarter * quarter):
                 start = first + (line // quarter << 2 * BITS) + (line % quarter << BITS)
                 for number in range(start, start + quarter):
-                    odds_now = max(np.int64(log_odds[slot, number]) - rule.miss, rule.least)
+                    odds_now = np.int64(log_odds[slot, number])
+                    if odds_now != FELT:
+                        odds_now = max(odds_now - rule.miss, rule.least)
                     log_odds[slot, number] = odds_now
                     greatest = max(greatest, odds_now)
             if greatest <= rule.least:
@@ -768,7 +785,7 @@ def _clear_octant(
             i, j, k = voxel >> 2 & 1, voxel >> 1 & 1, voxel & 1
             number = first + (2 * up + i << 2 * BITS | 2 * north + j << BITS | 2 * east + k)
             odds = np.int64(log_odds[slot, number])
-            if odds > rule.least:
+            if rule.least < odds < FELT:
                 passed = kind == _CLEAR
                 if kind == _MIXED:
                     dx, dy, dz = (k - 0.5) * side, (j - 0.5) * side, (i - 0.5) * side

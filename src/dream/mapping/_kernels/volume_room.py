@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from dream.mapping._kernels.volume import BITS, FREE, SOLID, find, free, state_of, within
+from dream.mapping._kernels.volume import BITS, FELT, FREE, SOLID, find, free, make, state_of, surface, within
 
 _TINY = 1e-9
 
@@ -109,6 +109,45 @@ def swept(bricks, start, end, body, side, odds, stamp):
                 a, b = _between(start[2], step[2], low, high)
                 if max(a, first) <= min(b, last):
                     free(bricks, level, row, col, odds, stamp)
+
+
+@njit(cache=True, nogil=True)
+def _touches(start, step, body, side, level, row, col):
+    """Does a body touch a voxel on its way?"""
+    first, last = _over_column(start, step, col * side, row * side, side, body.radius)
+    low, high = level * side - body.half_height, (level + 1) * side + body.half_height
+    a, b = _between(start[2], step[2], low, high)
+    return max(a, first) <= min(b, last)
+
+
+@njit(cache=True, nogil=True)
+def feel(bricks, here, before, place, end, body, side, stamp):
+    """Take for solid, for good, what a body touches from one place to an end and not from here until before.
+
+    Args:
+        bricks: Changed; with room for the bricks and surfaces of the box around the way.
+        here, before, place, end: (3,) of the body's centre, metres in the world.
+        body: What is swept.
+        side: Metres along a voxel.
+        stamp: Of what is changed.
+    """
+    box, onward, behind = _box(place, end, body, side), end - place, before - here
+    for level in range(box[0, 0], box[1, 0]):
+        for row in range(box[0, 1], box[1, 1]):
+            for col in range(box[0, 2], box[1, 2]):
+                if _touches(place, onward, body, side, level, row, col) and not _touches(
+                    here, behind, body, side, level, row, col
+                ):
+                    slot, number = (
+                        make(bricks, level >> BITS, row >> BITS, col >> BITS),
+                        within(level, row, col),
+                    )
+                    at = surface(bricks, slot)
+                    bricks.log_odds[slot, number] = FELT
+                    bricks.saturated[slot] = 0
+                    bricks.stamps[slot] = stamp
+                    bricks.seen[at, number] = 1
+                    bricks.votes[at, number, 1] = max(bricks.votes[at, number, 1], np.uint16(1))
 
 
 @njit(cache=True, nogil=True)

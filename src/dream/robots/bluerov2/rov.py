@@ -283,6 +283,7 @@ class BlueRov2:
         if self._truth is not None:
             truth, contacts = self._truth()
             collided, self._contacts = contacts > self._contacts, contacts
+        x, y, z = bridge.fix.T_world_base.translation.tolist()
         return Arrival(
             bridge.fix.T_world_base.se2,
             collided=collided,
@@ -291,6 +292,7 @@ class BlueRov2:
             note="; ".join(notes),
             sigma=bridge.fix.position_sigma,
             truth=truth,
+            contact=(x, y, z) if collided else None,
         )
 
     def _allowed(self, start: Fix, goal: Setpoint) -> float:
