@@ -1,7 +1,8 @@
 """How well `dream teach` labels pictures that were not marked, from a simulated person's strokes on five.
 
-    DREAM_REAL_DATA=FOLDER python perf/teach.py suim         FOLDER/suim_test holds pictures and masks of SUIM
-    python perf/teach.py renders FOLDER                      FOLDER/object07/3.png and 3_mask.png, and so on
+    DREAM_REAL_DATA=FOLDER python perf/teach.py suim       FOLDER/suim_test holds pictures and masks of SUIM
+    DREAM_REAL_DATA=FOLDER python perf/teach.py renders    forty objects of `perf/unseen`, seen by no training
+
 
 The person draws a few strokes within each class of each marked picture. What that teaches labels the other
 pictures, and IoU is of all their pixels. Beside it stands what the same strokes teach by colour alone: red,
@@ -35,7 +36,8 @@ from dream.teaching.fit import Example, HeadLesson, lacking
 from dream.teaching.marks import OTHER, TARGET, MarkStroke
 from dream.teaching.model import Extractor
 from dream.teaching.pictures import Picture
-from dream.types import BoolArray, Float32Array, UInt8Array
+from dream.types import BoolArray, Float32Array, Label, UInt8Array
+from unseen.pictures import pictures
 
 SUIM = ("BW", "HD", "PF", "WR", "RO", "RI", "FV", "SR")
 """By the bits of red, green, blue: water, divers, plants, wrecks, robots, reefs, fish, sea floor."""
@@ -46,6 +48,8 @@ WIDTH = 0.02
 """Of a stroke, as a share of the picture's width."""
 LEAST_SHARE = 0.01
 """Of a picture that is of the class, for its IoU to count."""
+OBJECTS, PER_OBJECT = 40, 14
+"""Objects, and pictures of each; some show too little of it."""
 RESAMPLED = 4000
 
 
@@ -89,16 +93,13 @@ def suim_scenes(folder: Path) -> list[Scene]:
     return found
 
 
-def render_scenes(folder: Path) -> dict[str, list[Scene]]:
-    """Pictures with masks, object by object."""
-    found = {}
-    for one in sorted(folder.glob("object*")):
-        scenes = []
-        for path in sorted(one.glob("*_mask.png")):
-            with Image.open(path) as image:
-                kinds = (np.asarray(image.convert("L")) > 127).astype(np.uint8)
-            scenes.append(Scene(Picture(path.with_name(path.name.replace("_mask", ""))).open(), kinds))
-        found[one.name] = scenes
+def render_scenes(seed: int, objects: int) -> dict[int, list[Scene]]:
+    """Pictures that show enough of an object, object by object: what is the target of a scene."""
+    found: dict[int, list[Scene]] = {n: [] for n in range(objects)}
+    for one in track(pictures(seed, objects, PER_OBJECT), "renders", objects * PER_OBJECT):
+        kinds = (one.labels == Label.TARGET).astype(np.uint8)
+        if kinds.mean() >= LEAST_SHARE:
+            found[one.scene].append(Scene(one.rgb, kinds))
     return found
 
 
@@ -250,15 +251,14 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("what", choices=("suim", "renders"))
-    parser.add_argument(
-        "folder", nargs="?", type=Path, help="of renders; of suim unless DREAM_REAL_DATA is set"
-    )
+    parser.add_argument("folder", nargs="?", type=Path, help="of suim; unless given, that in DREAM_REAL_DATA")
     parser.add_argument("--backbone", type=Path, nargs="*", default=[], help="more networks to compare")
     parser.add_argument(
         "--no-default", action="store_true", help="leave out the network that comes with DREAM"
     )
     parser.add_argument("--splits", type=int, default=None, help="of the pictures at most; all unless given")
-    parser.add_argument("--seed", type=int, default=0, help="of the strokes and splits")
+    parser.add_argument("--seed", type=int, default=0, help="of the strokes, splits and renders")
+    parser.add_argument("--objects", type=int, default=OBJECTS, help="of renders")
     told_to = parser.parse_args()
 
     extractors = {} if told_to.no_default else {"default": Extractor(open_backbone(None))}
@@ -294,20 +294,16 @@ def main() -> None:
         rows = [row for some in track(work, "cases", len(cases)) for row in some]
         told(f"IoU on {len(scenes)} pictures of SUIM, {MARKED} marked", rows, lambda r: str(r.picture), kinds)
         return
-    if told_to.folder is None:
-        parser.error("expected a folder of renders, got none")
     rows = []
-    for name, scenes in track(render_scenes(told_to.folder).items(), "objects"):
+    for name, scenes in track(render_scenes(told_to.seed, told_to.objects).items(), "objects"):
         if len(scenes) <= MARKED:
-            print(f"{name} is left out: it has {len(scenes)} pictures, none of more than {MARKED} to label")
+            print(f"object {name} is left out: {len(scenes)} pictures show it, none beside {MARKED} to label")
             continue
-        case = Case(name, 1, tuple(range(MARKED)), tuple(range(MARKED, len(scenes))))
+        case = Case(str(name), 1, tuple(range(MARKED)), tuple(range(MARKED, len(scenes))))
         for some in evaluated(scenes, [case], methods, extractors, told_to.seed):
             rows += some
     if not rows:
-        parser.error(
-            f"expected object*/K.png and K_mask.png in {told_to.folder}, got none that could be used"
-        )
+        parser.error(f"--objects: expected some that more than {MARKED} pictures show, got none")
     told(
         f"IoU on renders, {MARKED} pictures of each object marked", rows, lambda r: r.case.unit, {1: "object"}
     )
