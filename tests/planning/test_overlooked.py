@@ -159,23 +159,21 @@ def test_targets_are_told_where_a_twentieth_of_the_votes_is_for_them() -> None:
     assert found == [False, False, True]
 
 
-@pytest.mark.parametrize(("share", "by_sight"), [(1.5 * TOLD, False), (0.4, False), (0.6, True)])
-def test_what_stands_up_is_target_by_sight_only_where_most_of_its_votes_are(
-    share: float, by_sight: bool
-) -> None:
+def test_what_stands_up_is_to_be_looked_at_from_all_around_unless_depths_are_estimated() -> None:
     volume, frame = water(), looking(0.0, 0.0, 0.0)
-    solid(volume, (1.5, 1.5, SEABED), (2.5, 2.5, SEABED + 1.0), target=share)
-    vote(volume, middles_in((1.5, 1.5, SEABED - PROTOCOL.cell), (2.5, 2.5, SEABED)), share)
+    solid(volume, (1.5, -0.5, SEABED), (2.5, 0.5, SEABED + 1.0))
     occupancy = OccupancyMap(BOUNDS, PROTOCOL)
     occupancy.volume = volume
     occupancy._look_from_above(0.0, 0.0, SEABED + 2.0)
     occupancy._changed()
-    rock = occupancy.cell_of(2.0, 2.0)
+    told, by_sight, rock = InWater(mission()), InWater(mission()), occupancy.cell_of(2.0, 0.0)
     assert occupancy.solid[rock]
-    for seen, told in ((frame, True), (replace(frame, confidence=np.ones_like(frame.depth)), by_sight)):
-        over = InWater(mission())
-        over.take(seen, occupancy)
-        assert over.told[rock] == told
+    told.take(frame, occupancy)
+    by_sight.take(replace(frame, error=np.full_like(frame.depth, 0.1)), occupancy)
+    assert told.left[rock] == 1.0 - 1.0 / STANDS
+    assert by_sight.left[rock] == by_sight.overlooked.share[rock] < 0.2
+    bare = ~occupancy.solid
+    assert np.array_equal(told.left[bare], by_sight.left[bare])
 
 
 def test_it_ends_when_little_ground_is_unseen_and_little_is_missed(searched: tuple[InWater, Any]) -> None:

@@ -32,9 +32,6 @@ AROUND = 1.0
 TOLD = 0.05
 """Share of its votes from which on there are: where individuals stand apart most of each cell is seabed. In
 murky water four of five individuals lie on ground that is told so, and an eighth of bare ground is."""
-STANDING = 0.5
-"""Likewise of what stands up, where labels are estimated: a network calls parts of a rock target, and in the
-cells of a target that stands up is no seabed."""
 GROUP = 2.0
 """Times the area of the least group, below which a piece of ground that is told so is doubted."""
 DOUBTED = 0.25
@@ -107,12 +104,14 @@ class InWater:
             for part in (np.where(occupancy.seen, share.reshape(occupancy.shape), 0.0), occupancy.seen)
         )
         self.told = np.asarray(occupancy.seen & (target >= TOLD * np.maximum(seen, 1e-6)))
-        if observation.confidence is not None:
-            self.told &= ~occupancy.solid | (share.reshape(occupancy.shape) >= STANDING)
         self.doubted = self._doubted(occupancy.seen)
-        # What stands up shows no side that nobody looked at.
-        sides = np.where(occupancy.solid, np.maximum(1.0 - self.overlooked.parts / STANDS, 0.0), 0.0)
-        self.left = np.where(occupancy.seen, np.maximum(self.overlooked.share, sides), 1.0).astype(np.float32)
+        left = self.overlooked.share
+        # What stands up shows no side that nobody looked at. Estimated depths err by more than it stands up.
+        if observation.error is None:
+            left = np.maximum(
+                left, np.where(occupancy.solid, np.maximum(1.0 - self.overlooked.parts / STANDS, 0.0), 0.0)
+            )
+        self.left = np.where(occupancy.seen, left, 1.0).astype(np.float32)
 
     def _doubted(self, ground: BoolArray) -> BoolArray:
         """Pieces of the ground seen so far that are told to be target and small, beside one that is not.
