@@ -18,7 +18,7 @@ from dream.planning.space.overlooked import PARTS, Overlooked
 from dream.protocol import DREAM_V2 as ERRING
 from dream.protocol import DREAM_V2_TRUE as PROTOCOL
 from dream.types import Decision, Observation
-from tests.planning.standing import BOUNDS, SEABED, middles_in, mission, observed, solid, vote, water
+from tests.planning.standing import BOUNDS, SEABED, forget, middles_in, mission, observed, solid, vote, water
 
 Array = np.ndarray[Any, Any]
 HEIGHT = 3.5
@@ -172,8 +172,26 @@ def test_what_stands_up_is_to_be_looked_at_from_all_around_unless_depths_are_est
     by_sight.take(replace(frame, error=np.full_like(frame.depth, 0.1)), occupancy)
     assert told.left[rock] == 1.0 - 1.0 / STANDS
     assert by_sight.left[rock] == by_sight.overlooked.share[rock] < 0.2
-    bare = ~occupancy.solid
+    bare = occupancy.seen & ~occupancy.solid
     assert np.array_equal(told.left[bare], by_sight.left[bare])
+
+
+def test_by_sight_ground_that_was_looked_at_is_searched_also_where_the_map_has_a_hole() -> None:
+    volume, frame, hole = water(), looking(0.0, 0.0, 0.0), (3.0, 0.0)
+    forget(volume, (2.0, -1.0, SEABED - PROTOCOL.cell), (4.0, 1.0, SEABED))
+    occupancy = OccupancyMap(BOUNDS, PROTOCOL)
+    occupancy.volume = volume
+    occupancy._look_from_above(0.0, 0.0, SEABED + 2.0)
+    occupancy._changed()
+    cell = occupancy.cell_of(*hole)
+    assert not occupancy.seen[cell]
+    hiding = np.zeros(occupancy.shape, np.bool_)
+    hiding[cell] = True
+    for error, searched in ((None, False), (np.full_like(frame.depth, 0.1), True)):
+        over = InWater(mission())
+        over.take(replace(frame, error=error), occupancy)
+        assert over.searched(occupancy)[cell] == searched
+        assert (over.share_in_holes(hiding, occupancy) == 0.0) == searched
 
 
 def test_it_ends_when_little_ground_is_unseen_and_little_is_missed(searched: tuple[InWater, Any]) -> None:

@@ -69,13 +69,15 @@ class InWater:
     """(rows, cols) where labels tell that there are targets."""
     doubted: BoolArray = field(init=False)
     """(rows, cols) where they do, but on a piece of ground that is smaller than `GROUP` says."""
+    looked: BoolArray = field(init=False)
+    """(rows, cols) what was looked at."""
     left: Float32Array = field(init=False)
     """(rows, cols) share of the individuals in each cell that is expected not to be inspected."""
 
     def __post_init__(self) -> None:
         self.overlooked = Overlooked(self.mission)
         self.left = self.overlooked.share
-        self.told, self.doubted = np.zeros(self.left.shape, np.bool_), np.zeros(self.left.shape, np.bool_)
+        self.told, self.doubted, self.looked = (np.zeros(self.left.shape, np.bool_) for _ in range(3))
         whole = self.mission.protocol
         assert whole.space is not None
         self.height = max(HEIGHT * whole.trusted, whole.space.lowest + whole.lattice)
@@ -105,13 +107,14 @@ class InWater:
         )
         self.told = np.asarray(occupancy.seen & (target >= TOLD * np.maximum(seen, 1e-6)))
         self.doubted = self._doubted(occupancy.seen)
-        left = self.overlooked.share
-        # What stands up shows no side that nobody looked at. Estimated depths err by more than it stands up.
-        if observation.error is None:
-            left = np.maximum(
-                left, np.where(occupancy.solid, np.maximum(1.0 - self.overlooked.parts / STANDS, 0.0), 0.0)
-            )
-        self.left = np.where(occupancy.seen, left, 1.0).astype(np.float32)
+        # Estimated depths err by more than most things stand up, and leave holes in the map.
+        if observation.error is not None:
+            self.looked, self.left = occupancy.seen | (self.overlooked.parts > 0), self.overlooked.share
+            return
+        # What stands up shows no side that nobody looked at.
+        sides = np.where(occupancy.solid, np.maximum(1.0 - self.overlooked.parts / STANDS, 0.0), 0.0)
+        left = np.maximum(self.overlooked.share, sides)
+        self.looked, self.left = occupancy.seen, np.where(occupancy.seen, left, 1.0).astype(np.float32)
 
     def _doubted(self, ground: BoolArray) -> BoolArray:
         """Pieces of the ground seen so far that are told to be target and small, beside one that is not.
@@ -159,7 +162,7 @@ class InWater:
 
     def share_in_holes(self, hiding: BoolArray, occupancy: OccupancyMap) -> float:
         """Share of the ground that can be seen, was not, and lies in holes; see `enough`."""
-        left = within(hiding, HOLE, self.protocol.cell) & ~occupancy.observed
+        left = within(hiding, HOLE, self.protocol.cell) & ~occupancy.observed & ~self.looked
         return np.count_nonzero(left) / max(1, int(np.count_nonzero(occupancy.to_see)))
 
     def missed(self, occupancy: OccupancyMap) -> float:
@@ -188,8 +191,9 @@ class InWater:
         return np.asarray(occupancy.solid & (top + 0.5 * occupancy.volume.cell <= highest))
 
     def searched(self, occupancy: OccupancyMap) -> BoolArray:
-        """(rows, cols) what was seen of the ground, and where targets are told, was hardly overlooked."""
-        return np.asarray(occupancy.seen & ((self.left <= SEARCHED) | ~self.told))
+        """(rows, cols) ground that was looked at, and where targets are told, hardly overlooked."""
+        looked = occupancy.seen | self.looked
+        return np.asarray(looked & ((self.left <= SEARCHED) | ~self.told))
 
     def into_the_open(self, observation: Observation, occupancy: OccupancyMap) -> Decision | None:
         """The way from above or beside what stands up to where a vehicle at its altitude can move on.
