@@ -32,6 +32,7 @@ fly in a simulated world
   worlds   list the worlds, save one to edit, check one of your own
   draw     draw a world as a picture
   mission  turn an operator's words into orders that every planner obeys
+  plan     tell what an area will take, before a mission
 dive with a BlueROV2
   dive     fly one mission with the vehicle, or in a tank with its stand-in
 survey a reef or a wreck
@@ -59,7 +60,7 @@ dream --version           the version
 Every command takes --json, for programs. To begin with: dream run
 """
 COMMANDS = (
-    *("run", "fly", "worlds", "draw", "mission", "dive", "survey", "watch", "report"),
+    *("run", "fly", "worlds", "draw", "mission", "plan", "dive", "survey", "watch", "report"),
     *("replay", "export", "bench", "sweep", "seal", "oracle", "results", "probe", "teach"),
     "train",
 )
@@ -160,7 +161,7 @@ def _dispatch(name: str, arguments: list[str]) -> int:
             check_subcommand(kind, arguments)
             if missing := missing_in(complaint, kind, arguments):
                 complaint = f"expected {missing}, got none. Add --help to see the options."
-            if name in ("run", "dive") and own is None:
+            if name in ("run", "dive", "plan") and own is None:
                 _check_planner(complaint, arguments)
             complaint = _in_our_words(complaint)
             return _fail(complaint, BAD_INPUT)

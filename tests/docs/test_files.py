@@ -23,6 +23,7 @@ from dream import scene
 from dream.cli import run_command
 from dream.evaluation import results
 from dream.evaluation.engines import Processes
+from dream.evaluation.foresight import Foreseen, Foresight
 from dream.evaluation.metrics import Coverage
 from dream.evaluation.oracle.bounds import read_bounds
 from dream.evaluation.oracle.space_bounds import SpaceBounds
@@ -30,6 +31,7 @@ from dream.evaluation.probe import Score, write_page
 from dream.evaluation.runner import Plan, _manifest
 from dream.evaluation.suites import Case
 from dream.geometry import SE2, SE3, Bounds
+from dream.homeward import Budget
 from dream.learning.lerobot import FEATURES
 from dream.mapping import OccupancyMap
 from dream.mapping.prior import Prior
@@ -42,6 +44,7 @@ from dream.recording import RecordedExchange, RecordedStep, RunConfig, RunSummar
 from dream.robots import replay
 from dream.robots.bluerov2 import dataset
 from dream.robots.replay import Kept, Move
+from dream.sim.sizes import Size
 from dream.survey import files as survey_files
 from dream.survey import reef as reef_measures
 from dream.survey import wreck as wreck_measures
@@ -56,6 +59,7 @@ from dream.survey.site import Site, read_site
 from dream.types import Arrival, Setpoint
 from tests.docs.fields import PAGE, described, keys, types
 from tests.docs.reading import ROOT
+from tests.evaluation.benches import Made, flown
 from tests.recorded_runs import painted_observation
 from tests.survey import repeated, scenes
 
@@ -241,6 +245,20 @@ def test_every_key_of_a_probe_is_told(tmp_path: Path) -> None:
     write_page(tmp_path, score, {"model": "wire", "prompt": "probe 1", **score.as_dict()})
     told = described("probe.json")
     assert set(keys(read(tmp_path / "probe.json"), told)) == set(told)
+
+
+def test_every_key_of_a_plan_is_told() -> None:
+    told = described("plan.json")
+    case = Case("reef/mound+40x30", 1)
+    mission = flown(case, "belief", Made(20.0, 24))
+    seconds = np.arange(len(mission.trace), dtype=np.float64)
+    mission = dataclasses.replace(
+        mission, trace=dataclasses.replace(mission.trace, seconds=seconds, drawn_wh=seconds)
+    )
+    free, within = (Foresight((mission, mission), budget) for budget in (None, Budget(seconds=90.0)))
+    plan = Foreseen(Size(40, 30), ("reef/mound",), "belief", DREAM_V1, free, within).as_dict()
+    assert set(keys(plan, told)) == set(told)
+    assert set(plan["within"]) == {"budget", *plan["free"]}
 
 
 # --- What people write

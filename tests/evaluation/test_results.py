@@ -18,6 +18,7 @@ import pytest
 from dream.evaluation.results import (
     COLUMNS,
     LATER,
+    LATER_IN_TRACES,
     Flown,
     Row,
     Trace,
@@ -123,7 +124,13 @@ MANIFEST: dict[str, Any] = {
 
 def trace(*instances: float) -> Trace:
     ramp = np.arange(len(instances), dtype=np.float64)
-    return Trace(0.1 + ramp, -ramp + 0.0, 30.0 * ramp - 180.0, np.array(instances), ramp == 1)
+    clock = {"seconds": 4.5 * ramp, "drawn_wh": 0.125 * ramp}
+    return Trace(0.1 + ramp, -ramp + 0.0, 30.0 * ramp - 180.0, np.array(instances), ramp == 1, **clock)
+
+
+def clockless(flown: Flown) -> Flown:
+    """As missions were written down before traces had a clock and a battery."""
+    return replace(flown, trace=replace(flown.trace, seconds=None, drawn_wh=None))
 
 
 MISSIONS = (Flown(ROW, trace(0.91, 0.96, 0.97)), Flown(BARE, trace(1.0)))
@@ -131,7 +138,9 @@ MISSIONS = (Flown(ROW, trace(0.91, 0.96, 0.97)), Flown(BARE, trace(1.0)))
 
 def same(one: Flown, other: Flown) -> bool:
     columns = [(getattr(one.trace, name), getattr(other.trace, name)) for name in Trace.__slots__]
-    return one.row == other.row and all(a.dtype == b.dtype and (a == b).all() for a, b in columns)
+    return one.row == other.row and all(
+        (a is None and b is None) or (a.dtype == b.dtype and (a == b).all()) for a, b in columns
+    )
 
 
 @pytest.fixture
@@ -163,8 +172,10 @@ def test_the_table_has_the_published_columns_and_words(folder: Path) -> None:
     )
     assert lines[2].endswith(",,,,,,,,200,true,9.5")
     steps = gzip.decompress((folder / "traces.csv.gz").read_bytes()).decode().splitlines()
-    assert steps[0] == "protocol,world,seed,start,planner,step,x,y,yaw_deg,instances,collided"
-    assert steps[2] == "dream-v1,reef/L,3,1,sweep-and-graze,1,1.1,-1.0,-150.0,0.96,true"
+    assert steps[0] == (
+        "protocol,world,seed,start,planner,step,x,y,yaw_deg,instances,collided,seconds,drawn_wh"
+    )
+    assert steps[2] == "dream-v1,reef/L,3,1,sweep-and-graze,1,1.1,-1.0,-150.0,0.96,true,4.5,0.125"
 
 
 def without(text: str, names: Sequence[str]) -> str:
@@ -201,6 +212,22 @@ def test_a_mission_that_was_written_before_the_later_columns_is_read(
     path.write_text(json.dumps(old))
     unknown: dict[str, Any] = dict.fromkeys(lacking)
     assert read_mission(path).row == replace(ROW, **unknown)
+
+
+def test_traces_that_were_written_without_a_clock_are_read(folder: Path) -> None:
+    path = folder / "traces.csv.gz"
+    old = without(gzip.decompress(path.read_bytes()).decode(), LATER_IN_TRACES)
+    path.write_bytes(gzip.compress(old.encode()))
+    for flown in MISSIONS:
+        assert same(Flown(flown.row, read_results(folder).traces[flown.row.key]), clockless(flown))
+
+
+def test_missions_with_and_without_a_clock_stand_in_one_folder(folder: Path) -> None:
+    mixed = (clockless(MISSIONS[0]), MISSIONS[1])
+    write_tables(folder, mixed)
+    traces = read_results(folder).traces
+    assert all(same(Flown(flown.row, traces[flown.row.key]), flown) for flown in mixed)
+    assert same(read_mission(write_mission(folder, mixed[0])), mixed[0])
 
 
 def test_a_table_that_lacks_only_one_of_the_later_columns_is_refused(folder: Path) -> None:
@@ -269,6 +296,7 @@ def edited(change: Callable[[dict[str, Any]], object]) -> Callable[[bytes], byte
         (edited(lambda m: m["trace"]["y"].__setitem__(1, "2")), "trace: y: expected only numbers"),
         (edited(lambda m: m["trace"]["collided"].__setitem__(1, 1)), "collided: expected only booleans"),
         (edited(lambda m: m["trace"]["instances"].__setitem__(1, 2.0)), "shares from 0 to 1"),
+        (edited(lambda m: m["trace"]["seconds"].__setitem__(1, 9e9)), "seconds: expected .* never fall"),
         (edited(lambda m: m["trace"].pop("yaw_deg")), "trace: expected the columns"),
         (edited(lambda m: m.pop("trace")), "expected an object with row and trace"),
         (lambda content: b"[" * 100_000, "damaged text"),
@@ -353,11 +381,11 @@ def test_a_damaged_table_is_named_with_its_line(
     [
         ("yaw_deg", "yaw", "line 1: expected the columns"),
         ("graze,1,1.1", "graze,2,1.1", "line 3: expected a line that begins with"),
-        (",true\n", ",1\n", "line 3: expected true or false"),
-        (",true\n", ",true,\n", "line 3: expected 11 cells"),
+        (",true,4", ",1,4", "line 3: expected true or false"),
+        (",true,4", ",true,,4", "line 3: expected 13 cells"),
         ("graze,1,1.1", "graze,1,nan", "expected finite poses"),
         ("graze,1,1.1", "graze,1,east", "line 3: could not convert"),
-        ("random,0,", "random,0,0,0,0,0,false\nrandom,1,", "line 6: expected the end"),
+        ("random,0,", "random,0,0,0,0,0,false,0,0\nrandom,1,", "line 6: expected the end"),
     ],
 )
 def test_a_damaged_trace_is_named_with_its_line(

@@ -6,6 +6,7 @@ from dream.commands.export import Export
 from dream.commands.fly import Fly
 from dream.commands.mission import Mission
 from dream.commands.oracle import Oracle
+from dream.commands.plan import MissionPlan as Plan
 from dream.commands.probe import Probe
 from dream.commands.replay import Replay
 from dream.commands.report import Report
@@ -27,6 +28,7 @@ __all__ = [
     "Fly",
     "Mission",
     "Oracle",
+    "Plan",
     "Probe",
     "Replay",
     "Report",

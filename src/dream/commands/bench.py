@@ -36,7 +36,7 @@ from dream.telling import rich_console
 
 if TYPE_CHECKING:
     from dream.evaluation.engines import Engine
-    from dream.evaluation.results import Row
+    from dream.evaluation.results import Flown, Row
     from dream.evaluation.runner import Plan
     from dream.evaluation.sealed import Block
     from dream.evaluation.suites import Case
@@ -334,6 +334,22 @@ class Outcome:
 def fly(plan: Plan, folder: Path, engine: Engine) -> Outcome:
     """Fly a benchmark while showing how it goes, and write its report."""
     from dream.evaluation.report import write_report
+
+    flown, failures = fly_missions(plan, folder, engine)
+    rows = [flown[c, p].row for c in plan.cases for p in plan.planners if (c, p) in flown]
+    with stage("writing the report"):
+        page = write_report(folder) if rows else None
+    return Outcome(plan, folder, tuple(rows), tuple(failures), page)
+
+
+def fly_missions(
+    plan: Plan, folder: Path, engine: Engine
+) -> tuple[dict[tuple[Case, str], Flown], list[tuple[Case, str, str]]]:
+    """Fly the missions of a benchmark while showing how it goes.
+
+    Returns:
+        Those that were flown by case and planner, and of each that failed case, planner and reason.
+    """
     from dream.evaluation.results import Flown
     from dream.evaluation.runner import fly_plan
     from dream.evaluation.suites import Case
@@ -353,7 +369,4 @@ def fly(plan: Plan, folder: Path, engine: Engine) -> Outcome:
             f"aborted: interrupted; {len(flown)} of {len(plan)} missions are kept in {folder}, "
             "and the same command goes on from there"
         ) from None
-    rows = [flown[c, p].row for c in plan.cases for p in plan.planners if (c, p) in flown]
-    with stage("writing the report"):
-        page = write_report(folder) if rows else None
-    return Outcome(plan, folder, tuple(rows), tuple(failures), page)
+    return flown, failures

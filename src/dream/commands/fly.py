@@ -151,7 +151,7 @@ class Fly:
 
             def annotated(step: Step) -> Mapping[str, Any]:
                 coverage = scorer.add(step)
-                poses.append(traced(step, coverage))
+                poses.append(traced(step, coverage, scorer.mission_s))
                 helm.note(step)
                 return {"coverage": coverage.as_dict()}
 

@@ -148,12 +148,17 @@ class Logbook:
                 "p50": round(float(np.percentile(planner_ms, 50)), 2),
                 "p99": round(float(np.percentile(planner_ms, 99)), 2),
             },
-            "mission_s": round((self._log[-1].time if self._log else 0.0) + self._waited(), 3),
+            "mission_s": self.mission_s,
             "vlm": self._vlm(),
             "success": None,
             **({} if self._orders is None else {"legs": self._flown(self._orders)}),
             "home": self._home(),
         }
+
+    @property
+    def mission_s(self) -> float:
+        """Seconds so far on the mission's clock, waiting included."""
+        return round((self._log[-1].time if self._log else 0.0) + self._waited(), 3)
 
     def _home(self) -> dict[str, Any] | None:
         """How it stood with the way home at the end; None of a mission that need not go home."""

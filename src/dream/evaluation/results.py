@@ -159,8 +159,10 @@ LATER: tuple[tuple[str, ...], ...] = (
 """Columns that files may lack which were written before there were any: each time some came, these."""
 TRACE_COLUMNS: tuple[str, ...] = (
     *("protocol", "world", "seed", "start", "planner", "step"),
-    *("x", "y", "yaw_deg", "instances", "collided"),
+    *("x", "y", "yaw_deg", "instances", "collided", "seconds", "drawn_wh"),
 )
+LATER_IN_TRACES = ("seconds", "drawn_wh")
+"""Of these, those that files may lack which were written before there were any."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -177,9 +179,19 @@ class Trace:
     """(n + 1,) share of the instances seen so far."""
     collided: BoolArray
     """(n + 1,)."""
+    seconds: Float64Array | None = None
+    """(n + 1,) on the mission's clock, waiting included; None where that was not written down yet."""
+    drawn_wh: Float64Array | None = None
+    """(n + 1,) watt-hours that the vehicle has drawn; None likewise, or where nobody measures it."""
 
     def __len__(self) -> int:
         return len(self.x)
+
+
+def _columns(trace: Trace) -> dict[str, npt.NDArray[Any]]:
+    """Those that it has, by name."""
+    columns = {name: getattr(trace, name) for name in Trace.__slots__}
+    return {name: column for name, column in columns.items() if column is not None}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -190,7 +202,7 @@ class Flown:
     trace: Trace
 
     def __post_init__(self) -> None:
-        lengths = {name: len(getattr(self.trace, name)) for name in Trace.__slots__}
+        lengths = {name: len(column) for name, column in _columns(self.trace).items()}
         if set(lengths.values()) != {self.row.steps + 1}:
             raise ValueError(
                 f"trace: expected {self.row.steps + 1} poses of {self.row.steps} steps, got {lengths}"
@@ -292,7 +304,7 @@ def _file_word(world: str) -> str:
 
 def write_mission(folder: Path, flown: Flown) -> Path:
     """Keep one finished mission: whole or not at all, and on the disk when this returns."""
-    trace = {name: getattr(flown.trace, name).tolist() for name in Trace.__slots__}
+    trace = {name: column.tolist() for name, column in _columns(flown.trace).items()}
     path = mission_path(folder, flown.row.key)
     path.parent.mkdir(parents=True, exist_ok=True)
     write_whole(
@@ -399,7 +411,8 @@ def _cell(value: object) -> str:
 
 def _trace_lines(flown: Flown) -> Iterator[bytes]:
     head, trace = ",".join(map(str, flown.row.key)), flown.trace
-    columns = (getattr(trace, name).tolist() for name in Trace.__slots__)
+    there = _columns(trace)
+    columns = (there[name].tolist() if name in there else [None] * len(trace) for name in Trace.__slots__)
     for step, values in enumerate(zip(*columns, strict=True)):
         yield f"{head},{step},{','.join(map(_cell, values))}\n".encode()
 
@@ -418,7 +431,8 @@ def _row(values: Any, where: str) -> Row:
 
 def _trace(values: Any, length: int) -> Trace:
     """A trace of that many poses; a ValueError where it is none."""
-    if not isinstance(values, dict) or set(values) != set(Trace.__slots__):
+    names = set(Trace.__slots__)
+    if not isinstance(values, dict) or not names - set(LATER_IN_TRACES) <= set(values) <= names:
         raise ValueError(f"trace: expected the columns {', '.join(Trace.__slots__)}")
     columns: dict[str, npt.NDArray[Any]] = {}
     for name, given in values.items():
@@ -435,6 +449,9 @@ def _trace(values: Any, length: int) -> Trace:
         raise ValueError("trace: expected finite poses")
     if not ((trace.instances >= 0.0) & (trace.instances <= 1.0)).all():
         raise ValueError("trace: instances: expected shares from 0 to 1")
+    for name in columns.keys() & set(LATER_IN_TRACES):
+        if not (np.isfinite(columns[name]).all() and (np.diff(columns[name]) >= 0.0).all()):
+            raise ValueError(f"trace: {name}: expected finite amounts that never fall")
     return trace
 
 
@@ -499,25 +516,34 @@ def _read_traces(path: Path, rows: Sequence[Row]) -> dict[MissionKey, Trace]:
     try:
         with gzip.open(path, "rb") as file:
             header = file.readline(MAX_LINE_BYTES).decode().rstrip("\n")
-            if header != ",".join(TRACE_COLUMNS):
+            found = tuple(header.split(","))
+            if found not in (TRACE_COLUMNS, TRACE_COLUMNS[: -len(LATER_IN_TRACES)]):
                 raise ValueError(f"expected the columns {','.join(TRACE_COLUMNS)}, got {header[:200]}")
             for row in rows:
                 head = ",".join(map(str, row.key))
-                columns: dict[str, list[Any]] = {name: [] for name in Trace.__slots__}
+                columns: dict[str, list[Any]] = {name: [] for name in Trace.__slots__ if name in found}
                 for step in range(row.steps + 1):
                     number += 1
                     cells = _after(file, f"{head},{step},").split(",")
                     if len(cells) != len(columns):
-                        raise ValueError(f"expected {len(TRACE_COLUMNS)} cells, got another number")
+                        raise ValueError(f"expected {len(found)} cells, got another number")
                     for name, cell in zip(columns, cells, strict=True):
-                        columns[name].append(_flag(cell) if name == "collided" else float(cell))
-                traces[row.key] = _trace(columns, row.steps + 1)
+                        columns[name].append(_traced(name, cell))
+                there = {name: cells for name, cells in columns.items() if set(cells) != {None}}
+                traces[row.key] = _trace(there, row.steps + 1)
             number += 1
             if file.read(1):
                 raise ValueError("expected the end, got more than results.csv tells of")
     except (ValueError, EOFError, OSError, zlib.error) as error:
         raise ValueError(f"{path}, line {number}: {error}") from error
     return traces
+
+
+def _traced(name: str, cell: str) -> bool | float | None:
+    """A cell of a trace; None where its mission has no such column."""
+    if name == "collided":
+        return _flag(cell)
+    return None if not cell and name in LATER_IN_TRACES else float(cell)
 
 
 def _after(file: BinaryIO | gzip.GzipFile, head: str) -> str:

@@ -403,7 +403,7 @@ def _fly_on(stage: _Stage, flight: Flight, began: float) -> Flown:
             if isinstance(flight.planner, Asking) and exchange.fallback.startswith(GONE):
                 raise flight.planner.gone(exchange.fallback)
         coverage = scorer.add(step)
-        poses.append(traced(step, coverage))
+        poses.append(traced(step, coverage, scorer.mission_s))
         return {"coverage": coverage.as_dict()}
 
     def outcome(stopped: MissionAborted | None) -> dict[str, Any]:
@@ -461,16 +461,18 @@ def _record(
     return stopped
 
 
-TracedPose = tuple[float, float, float, float, bool]
-"""A step in a `Trace`: x, y, yaw_deg, instances and collided, rounded as they are written."""
+TracedPose = tuple[float, float, float, float, bool, float, float | None]
+"""A step in a `Trace`, whose columns these are, rounded as they are written."""
 
 
-def traced(step: Step, coverage: Coverage) -> TracedPose:
-    """What a trace keeps of a step, given what its scorer said of it."""
+def traced(step: Step, coverage: Coverage, seconds: float) -> TracedPose:
+    """What a trace keeps of a step, given what its scorer said of it, and the mission's clock then."""
     pose = step.observation.pose
     # Adding 0.0 turns -0.0, which would be written differently, into 0.0.
     x, y, yaw = (round(v, 3) + 0.0 for v in (pose.x, pose.y, math.degrees(pose.yaw)))
-    return x, y, yaw, round(coverage.instances, 6), step.arrival.collided
+    drawn = step.observation.drawn_wh
+    drawn = None if drawn is None else round(drawn, 6)
+    return x, y, yaw, round(coverage.instances, 6), step.arrival.collided, seconds, drawn
 
 
 def flown_mission(summary: Mapping[str, Any], poses: Sequence[TracedPose], start: int, cap: int) -> Flown:
@@ -482,7 +484,8 @@ def flown_mission(summary: Mapping[str, Any], poses: Sequence[TracedPose], start
         start: Which of the world's start poses.
         cap: Of the protocol.
     """
-    x, y, yaw_deg, instances, collided = (np.array(column) for column in zip(*poses, strict=True))
+    x, y, yaw_deg, instances, collided, seconds, drawn = map(np.array, zip(*poses, strict=True))
+    drawn_wh = None if None in drawn else drawn
     vlm = summary["vlm"] or {}
     same = (
         *("protocol", "world", "seed", "world_hash", "planner", "ended", "steps", "t_stop", "t_claimed"),
@@ -499,7 +502,7 @@ def flown_mission(summary: Mapping[str, Any], poses: Sequence[TracedPose], start
         **{f"vlm_{name}": vlm.get(name) for name in ("calls", "tokens", "cost_usd", "fallbacks", "waited_s")},
         "vlm_questions": vlm.get("questions"),
     }
-    return Flown(Row(**values), Trace(x, y, yaw_deg, instances, collided))
+    return Flown(Row(**values), Trace(x, y, yaw_deg, instances, collided, seconds, drawn_wh))
 
 
 @dataclass(frozen=True, slots=True)

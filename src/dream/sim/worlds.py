@@ -2,7 +2,8 @@
 
 `make_world("reef/string", 3)` gives the same world for ever, on every machine; `reef/string+1y2` is the same
 reef a year on, the second of its futures (`dream.sim.years`). `wreck/2+wreck/3` are two wrecks side by side,
-and `wreck/4+reef/patch` is a wreck with a reef around it (`dream.sim.structures`).
+and `wreck/4+reef/patch` is a wreck with a reef around it (`dream.sim.structures`). `reef/mound+40x30` is a
+world of that many metres (`dream.sim.sizes`).
 """
 
 from __future__ import annotations
@@ -34,6 +35,7 @@ from dream.sim.sampling import (
     uniform,
     uniforms,
 )
+from dream.sim.sizes import SIZED, TRIES, Size, SizedBuilder, sized
 from dream.sim.starts import starts_in
 from dream.sim.structures import around, beside
 from dream.sim.terrain import APRON, grid, smoothstep, terrain, undulation
@@ -97,20 +99,23 @@ def reef(shape: Callable[[Bounds, np.random.Generator], list[Stroke]], rng: np.r
     )
 
 
-def sunken(number: int, rng: np.random.Generator) -> World:
+def sunken(number: int, rng: np.random.Generator, size: Size | None = None) -> World:
     """An arena with wreck `number`, off its centre at any heading, on ground that has settled around it."""
-    bounds = _square(0.5 * SIDES[index(rng, 3)])
+    bounds = _square(0.5 * SIDES[index(rng, 3)]) if size is None else size.bounds
     found = wreck(number, rng)
-    c, s = direction(uniform(rng, 0.0, 2.0 * np.pi))
-    footprint = np.concatenate([mesh.vertices[:, :2] for mesh in found.meshes]).astype(np.float64)
-    footprint = np.stack(
-        [c * footprint[:, 0] - s * footprint[:, 1], s * footprint[:, 0] + c * footprint[:, 1]], 1
-    )
-    room = bounds.x_max - HULL_MARGIN
-    low, high = -room - footprint.min(axis=0), room - footprint.max(axis=0)
-    if (low > high).any():
+    level = np.concatenate([mesh.vertices[:, :2] for mesh in found.meshes]).astype(np.float64)
+    room = 0.5 * np.array([bounds.width, bounds.depth]) - HULL_MARGIN
+    # A narrow arena has room for it at some headings only.
+    for _ in range(TRIES):
+        c, s = direction(uniform(rng, 0.0, 2.0 * np.pi))
+        footprint = np.stack([c * level[:, 0] - s * level[:, 1], s * level[:, 0] + c * level[:, 1]], 1)
+        low, high = -room - footprint.min(axis=0), room - footprint.max(axis=0)
+        if (low <= high).all():
+            break
+    else:
         raise ValueError(
-            f"wreck {number}: expected at most {2 * room:g} m across, got {np.ptp(footprint, axis=0)}"
+            f"area: expected room for wreck {number} and {HULL_MARGIN:g} m around it, "
+            f"got {bounds.width:g}x{bounds.depth:g} m"
         )
     x0, y0 = quantised(low + uniforms(rng, 0.0, 1.0, 2) * (high - low), MILLIMETRE)
     footprint += (x0, y0)
@@ -140,7 +145,7 @@ def sunken(number: int, rng: np.random.Generator) -> World:
         ),
         hull=np.ones(count, np.bool_),
         obstacles=boulders.placed(rocks, stones, count, seabed, rng),
-        water=_sea(rng),
+        water=(None if size is None else size.water) or _sea(rng),
     )
 
 
@@ -172,13 +177,16 @@ def flat(rng: np.random.Generator) -> World:
     )
 
 
+WRECKS: Mapping[str, SizedBuilder] = {f"wreck/{number}": partial(sunken, number) for number in range(1, 6)}
+SIZABLE: Mapping[str, SizedBuilder] = {**WRECKS, **HABITATS}
+"""Those that can be made in any size."""
 BUILDERS: Mapping[str, Builder] = {
     "reef/fringing": partial(reef, reef_shapes.fringes),
     "reef/string": partial(reef, reef_shapes.strings),
     "reef/patch": partial(reef, reef_shapes.patches),
     "reef/mixed": partial(reef, reef_shapes.mixed),
     **{f"reef/{which}": partial(reef, partial(reef_shapes.letter, which)) for which in reef_shapes.LETTERS},
-    **{f"wreck/{number}": partial(sunken, number) for number in range(1, 6)},
+    **WRECKS,
     "pool/arc": partial(pool, water=WATERS["pool"]),
     "flat/empty": flat,
     **HABITATS,
@@ -201,8 +209,12 @@ def make_world(name: str, seed: int) -> World:
     if on is not None:
         return later(make_world(on["name"], seed), float(on["years"]), int(on["seed"]))
     check_seed(seed)
-    parts = structures_in(name)
-    if parts:
+    parts, wanted = structures_in(name), sized(name)
+    if wanted is not None:
+        kind, size = wanted
+        build = look_up(SIZABLE, kind, "world that can be made in any size")
+        made = build(_source(seed, name), size)
+    elif parts:
         made = _built(parts[0], seed, f"{name} 0")
         for number, part in enumerate(parts[1:], 1):
             another = _built(part, seed, f"{name} {number}")
@@ -214,10 +226,14 @@ def make_world(name: str, seed: int) -> World:
 
 def _built(name: str, seed: int, words: str) -> World:
     """What that name gives, with its randomness from the seed and these words."""
-    build = look_up(BUILDERS, name, "world", see="See dream worlds")
+    return look_up(BUILDERS, name, "world", see="See dream worlds")(_source(seed, words))
+
+
+def _source(seed: int, words: str) -> np.random.Generator:
+    """Randomness from the seed and these words."""
     digest = np.frombuffer(hashlib.sha256(words.encode()).digest()[:16], "<u4")
     sequence = np.random.SeedSequence([int(seed), *(int(word) for word in digest)])
-    return build(np.random.Generator(np.random.PCG64(sequence)))
+    return np.random.Generator(np.random.PCG64(sequence))
 
 
 def structures_in(name: str) -> tuple[str, ...]:
@@ -235,8 +251,9 @@ def structures_in(name: str) -> tuple[str, ...]:
 
 
 def origin(name: str) -> str | None:
-    """The name of the package's world that a name is of, be it some years on; None where it is the user's."""
-    on = LATER.fullmatch(name)
+    """The name of the package's world that a name is of, be it some years on or of a wanted size; None where
+    it is the user's."""
+    on = LATER.fullmatch(name) or SIZED.fullmatch(name)
     if on is not None:
         return origin(on["name"])
     return name if name in BUILDERS or structures_in(name) else None

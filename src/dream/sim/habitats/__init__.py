@@ -10,6 +10,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
+from itertools import count
 
 import numpy as np
 
@@ -24,6 +25,7 @@ from dream.sim.habitats.rocks import WALLS, RockFaces, rocks_in, walls_in
 from dream.sim.habitats.small import small_groups_in
 from dream.sim.habitats.wide import strokes_in
 from dream.sim.sampling import index, uniform
+from dream.sim.sizes import TRIES, Size, SizedBuilder
 from dream.sim.world import World
 
 Random = np.random.Generator
@@ -132,16 +134,17 @@ def _carpet_in(arena: Arena, region: Bounds, rng: Random) -> Habitat:
     return beds_in(arena, region, beds.SPARSE, (9.0, 14.0), beds.CARPET, (0.0, 0.0), 3.0, rng, bare=0.3)
 
 
-def _in_some_arena(family: Callable[[Arena, Random], World], rng: Random) -> World:
-    """A world of that family in the first arena that has room for it."""
-    while True:
+def _in_some_arena(family: Callable[[Arena, Random], World], rng: Random, size: Size | None = None) -> World:
+    """A world of that family in the first arena that has room for it; of a size, where one is wanted."""
+    for _ in count() if size is None else range(TRIES):
         try:
-            return family(arena_in(rng), rng)
+            return family(arena_in(rng, size), rng)
         except NoRoomError as none:
             logger.debug("%s", none)
+    raise ValueError(f"area: expected room for what grows there, got {size} m, too small for it")
 
 
-HABITATS: Mapping[str, Callable[[Random], World]] = {
+HABITATS: Mapping[str, SizedBuilder] = {
     f"reef/{name}": partial(_in_some_arena, family)
     for name, family in {
         "mound": _mound,

@@ -9,6 +9,7 @@ import numpy as np
 from dream.geometry import SE2, Bounds
 from dream.protocol import DREAM_V2
 from dream.sim.sampling import power, quantised
+from dream.sim.sizes import Size
 from dream.sim.starts import starts_in
 from dream.sim.water import Water, water_of
 
@@ -49,8 +50,14 @@ def steps_for(bounds: Bounds, water: Water) -> float:
     return USUAL_STEPS * bounds.area / USUAL_AREA * USUAL_RANGE / min(USUAL_RANGE, told)
 
 
-def arena_in(rng: np.random.Generator) -> Arena:
-    """Sides and visibility evenly on a scale of logarithms, drawn again until `MOST_STEPS` suffice."""
+def arena_in(rng: np.random.Generator, size: Size | None = None) -> Arena:
+    """Sides and visibility evenly on a scale of logarithms, drawn again until `MOST_STEPS` suffice.
+
+    Where a size is wanted, only what it leaves open is drawn, and however many steps that needs.
+    """
+    if size is not None:
+        water = size.water or water_of(float(quantised(log_uniform(rng, *VISIBILITY), 10)))
+        return Arena(size.bounds, starts_in(size.bounds, np.empty((0, 2)), rng), water)
     while True:
         east, north = (log_uniform(rng, *SIDES) for _ in range(2))
         half = np.clip(np.rint(0.5 * np.array([east, north])), 0.5 * SIDES[0], 0.5 * SIDES[1])
