@@ -54,9 +54,13 @@ class Flown:
     watt_hours: float | None
 
 
-def fly(task: tuple[Case, str, tuple[float, ...]]) -> list[Flown]:
-    """The missions in a world: the free one, then those with a budget."""
-    case, name, shares = task
+Task = tuple[Case, str, tuple[float, ...], float | None]
+"""A world, a protocol, shares to fly, and the seconds of the free mission; None where that is missing."""
+
+
+def fly(task: Task) -> list[Flown]:
+    """The missions in a world: the free one where it is missing, then those with a budget."""
+    case, name, shares, seconds = task
     world = case.open()
     protocol = protocol_in(world, name)
     sight, renderer = sight_in(world, protocol), Renderer(world)
@@ -89,8 +93,24 @@ def fly(task: tuple[Case, str, tuple[float, ...]]) -> list[Flown]:
             watt_hours=step.observation.drawn_wh,
         )
 
-    free = flown(None, None)
-    return [free, *(flown(share, share * free.seconds) for share in shares)]
+    free = [flown(None, None)] if seconds is None else []
+    whole = free[0].seconds if seconds is None else seconds
+    return [*free, *(flown(share, share * whole) for share in shares)]
+
+
+def missing(cases: list[Case], protocol: str, shares: list[float], kept: list[Flown]) -> list[Task]:
+    """What is still to be flown."""
+    tasks: list[Task] = []
+    for case in cases:
+        there = {
+            one.share: one.seconds
+            for one in kept
+            if (one.world, one.seed, one.protocol) == (case.world, case.seed, protocol)
+        }
+        lacking = tuple(share for share in shares if share not in there)
+        if lacking or None not in there:
+            tasks.append((case, protocol, lacking, there.get(None)))
+    return tasks
 
 
 def chosen(reefs: int, wrecks: int) -> list[Case]:
@@ -136,13 +156,8 @@ def main() -> int:
         if given.out.exists()
         else []
     )
-    there = {(one.world, one.seed, one.protocol) for one in kept}
-    cases = [
-        case
-        for case in chosen(given.reefs, given.wrecks)
-        if (case.world, case.seed, given.protocol) not in there
-    ]
-    tasks = [[(case, given.protocol, tuple(given.shares))] for case in cases]
+    cases = chosen(given.reefs, given.wrecks)
+    tasks = [[task] for task in missing(cases, given.protocol, given.shares, kept)]
     with given.out.open("a") as file:
         for (case, *_), outcome in Processes(given.jobs).run(fly, tasks):
             if isinstance(outcome, Failure):

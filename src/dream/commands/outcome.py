@@ -208,13 +208,14 @@ def _print_outcome(
 
 def home_told(home: Mapping[str, Any]) -> str:
     """How it stood with the way home at the end, in a line."""
-    where = "home" if home["reached"] else "not home"
+    where = "home" if home["reached"] else "not home, as it should be"
     why = f", where it went since {home['why']}" if home["why"] else ""
     units = {"steps": "steps", "time": "s", "battery": "Wh"}
-    left = ", ".join(
-        f"{home['left'][name]:.4g} {unit}" for name, unit in units.items() if name in home["left"]
-    )
-    return f"it is {where}{why}" + (f"; left of what it had: {left}" if left else "")
+    of = [(home["left"][name], unit) for name, unit in units.items() if name in home["left"]]
+    left = ", ".join(f"{amount:.4g} {unit}" for amount, unit in of if amount >= 0.0)
+    over = " and ".join(f"{-amount:.4g} {unit}" for amount, unit in of if amount < 0.0)
+    said = [f"it is {where}{why}", f"over its budget by {over}" * bool(over)]
+    return "; ".join(filter(None, [*said, f"left of what it had: {left}" * bool(left)]))
 
 
 def _asked(summary: Mapping[str, Any], done: str) -> str:

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 from dream.geometry import SE2
 from dream.homeward.budget import Budget
 from dream.homeward.pace import DEVIATIONS, SPEED, TURN_RATE, Pace, nominal_seconds
-from dream.homeward.ways import Place, after, places, way_home
-from dream.types import Arrival, Balance, Decision, Home, Observation, Reasoning
+from dream.homeward.ways import Node, Place, after, move_to, node_of, places, way_home
+from dream.types import LOOK_AROUND, Arrival, Balance, Decision, Home, Observation, Reasoning
 from dream.vehicle import HOTEL_W
 
 if TYPE_CHECKING:
@@ -35,8 +35,8 @@ class Homeward:
     no known way leads to is replaced by where the mission began. Where no way is known at all, one is
     reckoned to take what all moves took so far.
 
-    Fails when: what was free turns out to be solid, so that no known way leads home. It looks around then,
-    until one does.
+    Fails when: what was free turns out to be solid, so that no known way leads home. It goes back as it came
+    then, and where that fails too it looks around, until a way is known.
     """
 
     budget: Budget
@@ -62,6 +62,12 @@ class Homeward:
     """Is the place that was asked for too far?"""
     _made: list[Decision] = field(default_factory=list)
     """All moves so far."""
+    _came: list[Node] = field(default_factory=list)
+    """Where it came along, from the start to here, each a move from the one before; without loops."""
+    _going_back: bool = False
+    """Is the move at hand one back along it?"""
+    _looks: int = 0
+    """Looks around that are due, since going back as it came failed."""
 
     @classmethod
     def of(cls, budget: Budget, first: Observation, cap: int, *, ticking: bool) -> Homeward:
@@ -110,6 +116,14 @@ class Homeward:
         """The next move of the way home."""
         way = self._way(seen.pose, seen.z, occupancy)
         if way is None:
+            back = None
+            if len(self._came) > 1 and not self._looks:
+                back = move_to(self._came[-2], seen.pose, seen.z, occupancy.protocol)
+            if back is not None:
+                self._going_back = back.advance > 0.0 or back.climb != 0.0
+                told = Reasoning(action=f"No way home is known: going back as it came, since {self.why}.")
+                return replace(back, reasoning=told)
+            self._looks = max(self._looks - 1, 0)
             looks = "No way home is known: looking around for one."
             return Decision(turn=0.5 * math.pi, reasoning=Reasoning(action=looks))
         told = Reasoning(action=f"Going home, {len(way)} steps away: {self.why}.")
@@ -143,11 +157,23 @@ class Homeward:
             complete: The mission has nothing left to do: it goes home.
         """
         self.why = self.why or seen.trouble or (COMPLETE if complete else "")
+        self._keep_trail(node_of(seen.pose, seen.z, occupancy.protocol))
         way = self._way(seen.pose, seen.z, occupancy)
         if way is None:
             return Home(None, (), self.why)
         path = places(seen.pose, seen.z, way, occupancy)
         return Home(path if way else (), self._balances(way, seen, steps, self._waited), self.why)
+
+    def _keep_trail(self, here: Node) -> None:
+        if self._going_back and here != self._came[-2]:
+            # The guard or a contact stopped it, here or on the way there.
+            self._looks = LOOK_AROUND
+            self._came.pop()
+        self._going_back = False
+        if here in self._came:
+            del self._came[self._came.index(here) + 1 :]
+        else:
+            self._came.append(here)
 
     def _way(self, pose: SE2, z: float, occupancy: OccupancyMap) -> list[Decision] | None:
         """To the place that was asked for, while that can be reached in time; else to the start."""

@@ -39,20 +39,15 @@ class Pace:
 
     rate: float = 1.0
     """Believed for each nominal second before any move was made."""
-    beside: float = 0.0
-    """Believed for each move beside."""
-    spread: float = 0.0
-    """Standard deviation of what a move takes, believed before any was made."""
     _moments: npt.NDArray[np.float64] = field(init=False)
     _sums: npt.NDArray[np.float64] = field(init=False)
-    _squares: float = field(init=False)
+    _squares: float = field(init=False, default=0.0)
     _count: float = field(init=False, default=PRIOR)
 
     def __post_init__(self) -> None:
         # As if moves of 4 s and none had been seen.
         self._moments = PRIOR * np.array([[8.0, 2.0], [2.0, 1.0]])
-        self._sums = self._moments @ np.array([self.rate, self.beside])
-        self._squares = PRIOR * self.spread**2
+        self._sums = self._moments @ np.array([self.rate, 0.0])
 
     def learn(self, nominal: float, taken: float) -> None:
         """Of a move of so many nominal seconds, that took so much."""

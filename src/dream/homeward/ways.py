@@ -9,6 +9,7 @@ import numpy as np
 
 from dream.control import setpoint
 from dream.geometry import SE2
+from dream.protocol import SurveyProtocol
 from dream.types import Decision
 
 if TYPE_CHECKING:
@@ -16,6 +17,8 @@ if TYPE_CHECKING:
 
 Place = tuple[float, float, float]
 """x, y and z, metres in the world."""
+Node = tuple[int, int, int]
+"""Of the lattice from the world's origin: steps east, north and up; 0 up under a planar protocol."""
 
 
 def way_home(pose: SE2, z: float, occupancy: OccupancyMap, home: Place) -> list[Decision] | None:
@@ -40,10 +43,46 @@ def way_home(pose: SE2, z: float, occupancy: OccupancyMap, home: Place) -> list[
     from dream.planning.space.ways import ways_in
 
     assert occupancy.volume is not None
-    ways = ways_in(occupancy.volume, occupancy.bounds, protocol)
+    volume, bounds = occupancy.volume, occupancy.bounds
+    ways = occupancy.answer("ways in space", lambda: ways_in(volume, bounds, protocol))
     goal = np.zeros(ways.shape, np.bool_)
     goal[ways.node(*home)] = True
     return ways.to(pose, z, goal, np.ones(protocol.headings, np.bool_))
+
+
+def node_of(pose: SE2, z: float, protocol: SurveyProtocol) -> Node:
+    """The node of the lattice nearest to where a vehicle is."""
+    x, y, level = (round(v / protocol.lattice) for v in (pose.x, pose.y, z))
+    return x, y, 0 if protocol.space is None else level
+
+
+def move_to(node: Node, pose: SE2, z: float, protocol: SurveyProtocol) -> Decision | None:
+    """The move straight to a node; a turn towards it where the protocol has none that turns so far at once.
+
+    Args:
+        node: Another than that of the pose.
+        pose: From where.
+        z: At which height.
+        protocol: Whose moves.
+
+    Returns:
+        None where no move leads there.
+    """
+    heading, headings = protocol.heading_index(pose.yaw), protocol.headings
+    east, north, up = (b - a for a, b in zip(node_of(pose, z, protocol), node, strict=True))
+    found = [
+        (turn, advance)
+        for turn in range(1 - headings // 2, headings // 2 + 1)
+        for advance in (0.0, *protocol.advances)
+        if protocol.offset(heading + turn, advance) == (east, north)
+    ]
+    climb = up * protocol.lattice
+    if not found or climb not in protocol.climbs:
+        return None
+    turn, advance = min(found, key=lambda one: abs(one[0]))
+    if turn in protocol.turns:
+        return Decision(turn * protocol.heading_step, advance, climb=climb)
+    return Decision(min(protocol.turns, key=lambda one: abs(one - turn)) * protocol.heading_step)
 
 
 def after(pose: SE2, z: float, move: Decision, occupancy: OccupancyMap) -> tuple[SE2, float]:

@@ -269,6 +269,7 @@ class OccupancyMap(Layers):
         if math.isnan(self._datum):
             self._datum = float(place[2]) - self.protocol.altitude
         self._look_from_above(*place.tolist())
+        self._changed()  # The volume has, also where nothing of it is seen from above.
 
     def feel(self, here: npt.ArrayLike, contact: npt.ArrayLike, goal: npt.ArrayLike) -> None:
         """Take for solid what the body touched, in space; see `Volume.feel`."""
