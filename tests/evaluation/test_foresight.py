@@ -137,7 +137,7 @@ def foreseen() -> Foreseen:
 
 def test_a_plan_tells_how_sure_it_is_and_what_was_cut_short(foreseen: Foreseen) -> None:
     words = "\n".join(told(foreseen))
-    assert "between the outer two with 50 %: 3 are too few" in words
+    assert "between the outer two figures with 50 %: 3 are too few" in words
     assert "1 of 3 were not complete (2 done, 1 out of steps)" in words
     assert "≥ 16.7 min" in words
     assert "Home within 60 s: 34.3 % seen (3.0 % to 55.0 %)" in words

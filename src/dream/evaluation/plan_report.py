@@ -97,11 +97,11 @@ def _certainty(foreseen: Foreseen) -> list[str]:
     count = len(free.flown)
     share = held(count)
     few = "" if count >= 9 else f": {count} are too few for 80 %, which 9 tell"
-    lines = [f"One more mission lies between the outer two with {100.0 * share:.0f} %{few}."]
+    lines = [f"One more mission lies between the outer two figures with {100.0 * share:.0f} %{few}."]
     if free.complete < count:
         lines.append(
-            f"{count - free.complete} of {count} were not complete ({_ends(free)}): ≥ marks what they would "
-            "have made more."
+            f"{count - free.complete} of {count} were not complete ({_ends(free)}): ≥ marks figures that "
+            "would be more, had they gone on."
         )
     else:
         lines.append("The planner held all of them to be complete; all went home.")
