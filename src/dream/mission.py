@@ -110,7 +110,7 @@ def _steps(
     ended = "" if cap > 0 else "cap"
     homeward = None
     if budget is not None or first.trouble:
-        homeward = Homeward.of(budget or Budget(), first, cap, ticking=ticking)
+        homeward = Homeward.of(budget or Budget(), first, cap, occupancy, ticking=ticking)
     home = None if homeward is None else homeward.stands(first, occupancy, 0)
     yield Step(
         0, waiting, Guarded(waiting), here, observation, occupancy, ended=ended, leg=course.leg, home=home
@@ -118,7 +118,7 @@ def _steps(
 
     for index in range(1, cap + 1):
         began = working_time()
-        if homeward is not None and homeward.why:
+        if homeward is not None and homeward.leads:
             decision = homeward.move(observation, occupancy)
         else:
             decision = _look_around() if index <= LOOK_AROUND else course.decide(observation, index - 1)
@@ -147,9 +147,9 @@ def _steps(
             leg = course.after(index, done=over)
         ended = "done" if course.over else "cap" if index == cap else ""
         if homeward is None and observation.trouble:
-            homeward = Homeward.of(Budget(), first, cap, ticking=ticking)
+            homeward = Homeward.of(Budget(), first, cap, occupancy, ticking=ticking)
         if homeward is not None:
-            homeward.learn(guarded.decision, before, arrival, observation)
+            homeward.learn(guarded.decision, before, arrival, observation, occupancy)
             home = homeward.stands(observation, occupancy, index, complete=course.over)
             if not (homeward.why and home.reached):
                 ended = "cap" if index == cap else ""

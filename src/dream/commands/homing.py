@@ -20,6 +20,8 @@ class Homing:
     """Seconds that the mission may take until it is home."""
     battery_wh: float | None = None
     """Watt-hours that the vehicle may draw until it is home. A BlueROV2's battery of 18 Ah holds 266."""
+    tether_m: float | None = None
+    """Metres of the tether that it drags from where it begins: its way through the scene is never longer."""
     home: Annotated[str | None, tyro.conf.arg(name="return", metavar="start|X,Y")] = None
     """Where home is: `start`, where the mission begins, or a place, metres in the map. Unless given,
     `start`."""
@@ -34,12 +36,17 @@ class Homing:
             return None
         from dream.homeward import Budget
 
-        for name, most in (("--budget-s", self.budget_s), ("--battery-wh", self.battery_wh)):
+        for name, most in (
+            ("--budget-s", self.budget_s),
+            ("--battery-wh", self.battery_wh),
+            ("--tether-m", self.tether_m),
+        ):
             if most is not None and not 0.0 < most < math.inf:
                 raise ValueError(f"{name}: expected a number above 0, got {most:g}")
         return Budget(
             seconds=math.inf if self.budget_s is None else self.budget_s,
             battery_wh=math.inf if self.battery_wh is None else self.battery_wh,
+            tether_m=math.inf if self.tether_m is None else self.tether_m,
             home=_place(self.home),
         )
 

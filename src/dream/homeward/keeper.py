@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from dream.geometry import SE2
 from dream.homeward.budget import Budget
 from dream.homeward.pace import DEVIATIONS, SPEED, TURN_RATE, Pace, nominal_seconds
+from dream.homeward.tether import Strand, Tether
 from dream.homeward.ways import Node, Place, after, move_to, node_of, places, way_home
 from dream.types import LOOK_AROUND, Arrival, Balance, Decision, Home, Observation, Reasoning
 from dream.vehicle import HOTEL_W
@@ -33,7 +34,9 @@ class Homeward:
     has to take no more than what is left after the move, with a margin for how moves spread and for how far
     the position may err. Else the mission turns round, and goes home from then on. A place to go home to that
     no known way leads to is replaced by where the mission began. Where no way is known at all, one is
-    reckoned to take what all moves took so far.
+    reckoned to take what all moves took so far. A tether must be neither too long nor wound too far after a
+    move: else it leads there by a way on which it is not, back along the tether first, and where there is
+    none, home.
 
     Fails when: what was free turns out to be solid, so that no known way leads home. It goes back as it came
     then, and where that fails too it looks around, until a way is known.
@@ -68,11 +71,32 @@ class Homeward:
     """Is the move at hand one back along it?"""
     _looks: int = 0
     """Looks around that are due, since going back as it came failed."""
+    tether: Tether | None = None
+    """That it drags."""
+    _unwinds_to: Place | None = None
+    """Where it was asked to go, to which it leads by another way; None while it leads nowhere."""
 
     @classmethod
-    def of(cls, budget: Budget, first: Observation, cap: int, *, ticking: bool) -> Homeward:
-        """For a mission that begins with a look."""
-        return cls(budget, (first.pose.x, first.pose.y, first.z), first, cap, ticking=ticking)
+    def of(
+        cls, budget: Budget, first: Observation, cap: int, occupancy: OccupancyMap, *, ticking: bool
+    ) -> Homeward:
+        """For a mission that begins with a look; the map is told how far its tether reaches.
+
+        Raises:
+            ValueError: The tether does not reach the place to go home to.
+        """
+        start = first.pose.x, first.pose.y, first.z
+        budget.check_from(*start[:2])
+        tether = None
+        if math.isfinite(budget.tether_m):
+            tether = Tether(budget.tether_m, start, Strand.at(start))
+            occupancy.hold(tether.leash)
+        return cls(budget, start, first, cap, ticking=ticking, tether=tether)
+
+    @property
+    def leads(self) -> bool:
+        """Does it say where to go, in the planner's place?"""
+        return bool(self.why) or self._unwinds_to is not None
 
     def affords(self, move: Decision, seen: Observation, occupancy: OccupancyMap, steps: int) -> bool:
         """Does the way home stay affordable when a move is made? Else it goes home from now on.
@@ -88,11 +112,18 @@ class Homeward:
         if self.why:
             return True
         pose, z = after(seen.pose, seen.z, move, occupancy)
+        strand = None
+        if self.tether is not None:
+            lies = self.tether.along([move], self.tether.strand, seen.pose, seen.z, occupancy)
+            if lies is None:
+                self._unwind((pose.x, pose.y, z), seen, occupancy)
+                return False
+            (strand,) = lies
         waited = self._waited if self.ticking else self._waited + move.waited
-        short = self._short(move, self._way(pose, z, occupancy), seen, steps, waited)
+        short = self._short(move, self._way(pose, z, occupancy, strand), seen, steps, waited)
         if short is not None and self.budget.home is not None:
             # What is not enough for the place that was asked for may be enough for the start.
-            here = self._way(seen.pose, seen.z, occupancy)
+            here = self._way(seen.pose, seen.z, occupancy, self._strand)
             self._to_start = self._short(Decision(), here, seen, steps, waited) is not None
         if short is not None:
             most, digits = short.way + short.margin, 1 if short.unit == "Wh" else 0
@@ -102,6 +133,14 @@ class Homeward:
             )
         return short is None
 
+    def _unwind(self, place: Place, seen: Observation, occupancy: OccupancyMap) -> None:
+        """Lead to a place by a way that the tether allows; home where there is none."""
+        assert self.tether is not None
+        self._unwinds_to = self._unwinds_to or place
+        if not self._way_now(seen, occupancy):
+            self._unwinds_to = None
+            self.why = f"no way that a tether of {self.tether.metres:g} m allows leads where it was to go"
+
     def _short(
         self, move: Decision, way: list[Decision] | None, seen: Observation, steps: int, waited: float
     ) -> Balance | None:
@@ -109,12 +148,13 @@ class Homeward:
 
         Where no way is known it is reckoned as what all moves took so far.
         """
-        balances = self._balances([move, *(self._made if way is None else way)], seen, steps, waited)
+        moves = [move, *(self._made if way is None else way)]
+        balances = self._balances(moves, seen, steps, waited, None)
         return next((one for one in balances if one.short), None)
 
     def move(self, seen: Observation, occupancy: OccupancyMap) -> Decision:
-        """The next move of the way home."""
-        way = self._way(seen.pose, seen.z, occupancy)
+        """The next move of the way home, or of the way to where the planner asked to go."""
+        way = self._way_now(seen, occupancy)
         if way is None:
             back = None
             if len(self._came) > 1 and not self._looks:
@@ -126,15 +166,25 @@ class Homeward:
             self._looks = max(self._looks - 1, 0)
             looks = "No way home is known: looking around for one."
             return Decision(turn=0.5 * math.pi, reasoning=Reasoning(action=looks))
-        told = Reasoning(action=f"Going home, {len(way)} steps away: {self.why}.")
-        return replace(way[0] if way else Decision(), reasoning=told)
+        if self.why:
+            told = f"Going home, {len(way)} steps away: {self.why}."
+        else:
+            told = f"Going {len(way)} steps back along the tether and round: it would be too long, or wound."
+        return replace(way[0] if way else Decision(), reasoning=Reasoning(action=told))
 
     def move_instead(self, asked: Decision, seen: Observation, occupancy: OccupancyMap) -> Decision:
         """The same in the place of what a planner asked for, with what asking took."""
         return replace(self.move(seen, occupancy), exchanges=asked.exchanges, waited=asked.waited)
 
-    def learn(self, move: Decision, before: Observation, arrival: Arrival, seen: Observation) -> None:
-        """Take in what a move took."""
+    def learn(
+        self,
+        move: Decision,
+        before: Observation,
+        arrival: Arrival,
+        seen: Observation,
+        occupancy: OccupancyMap,
+    ) -> None:
+        """Take in what a move took, and where the tether lies after it."""
         nominal = nominal_seconds(move)
         if not self.ticking:
             self._waited += move.waited
@@ -144,6 +194,10 @@ class Homeward:
         self._seconds.learn(nominal, max(seen.time - before.time - thinking, 0.0))
         self._watt_hours.learn(nominal, self._drawn(seen) - self._drawn(before))
         self._sigma = arrival.sigma
+        if self.tether is not None:
+            self.tether.went(move, seen, arrival.sigma, occupancy)
+            if not self.tether.plan:
+                self._unwinds_to = None
 
     def stands(
         self, seen: Observation, occupancy: OccupancyMap, steps: int, *, complete: bool = False
@@ -158,11 +212,16 @@ class Homeward:
         """
         self.why = self.why or seen.trouble or (COMPLETE if complete else "")
         self._keep_trail(node_of(seen.pose, seen.z, occupancy.protocol))
-        way = self._way(seen.pose, seen.z, occupancy)
+        if self.why:
+            self._unwinds_to = None
+            way = self._way_now(seen, occupancy)
+        else:
+            way = self._way(seen.pose, seen.z, occupancy, self._strand)
         if way is None:
             return Home(None, (), self.why)
         path = places(seen.pose, seen.z, way, occupancy)
-        return Home(path if way else (), self._balances(way, seen, steps, self._waited), self.why)
+        balances = self._balances(way, seen, steps, self._waited, self._strand)
+        return Home(path if way else (), balances, self.why)
 
     def _keep_trail(self, here: Node) -> None:
         if self._going_back and here != self._came[-2]:
@@ -175,18 +234,39 @@ class Homeward:
         else:
             self._came.append(here)
 
-    def _way(self, pose: SE2, z: float, occupancy: OccupancyMap) -> list[Decision] | None:
-        """To the place that was asked for, while that can be reached in time; else to the start."""
-        if self.budget.home is not None and not self._to_start:
-            there = way_home(pose, z, occupancy, (*self.budget.home, self.start[2]))
-            if there is not None:
-                return there
-        return way_home(pose, z, occupancy, self.start)
+    @property
+    def _strand(self) -> Strand | None:
+        return None if self.tether is None else self.tether.strand
+
+    @property
+    def _homes(self) -> tuple[Place, ...]:
+        """The place that was asked for, while that can be reached in time, and the start."""
+        if self.budget.home is None or self._to_start:
+            return (self.start,)
+        return (*self.budget.home, self.start[2]), self.start
+
+    def _way(
+        self, pose: SE2, z: float, occupancy: OccupancyMap, strand: Strand | None
+    ) -> list[Decision] | None:
+        """The way home."""
+        if self.tether is None or strand is None:
+            ways = (way_home(pose, z, occupancy, place) for place in self._homes)
+        else:
+            ways = (self.tether.way(strand, pose, z, occupancy, place) for place in self._homes)
+        return next((way for way in ways if way is not None), None)
+
+    def _way_now(self, seen: Observation, occupancy: OccupancyMap) -> list[Decision] | None:
+        """The way that it is on, home or where the planner asked to go."""
+        if self.tether is None:
+            return self._way(seen.pose, seen.z, occupancy, None)
+        goals = self._homes if self._unwinds_to is None else (self._unwinds_to,)
+        return self.tether.way_on(goals, seen, occupancy)
 
     def _balances(
-        self, way: list[Decision], seen: Observation, steps: int, waited: float
+        self, way: list[Decision], seen: Observation, steps: int, waited: float, strand: Strand | None
     ) -> tuple[Balance, ...]:
-        """What is left now, after so many seconds of waiting, and what a way takes of it from here on."""
+        """What is left now, after so many seconds of waiting, and what a way takes of it from here on; and
+        how a tether lies."""
         nominal, moves = sum(map(nominal_seconds, way)), len(way)
         # What may come: a way round, a turn back to it, and a detour for where it really is.
         more = SURPRISE * nominal + math.pi / TURN_RATE + DEVIATIONS * self._sigma / SPEED if way else 0.0
@@ -208,6 +288,8 @@ class Homeward:
             # Who waits draws what everything but the thrusters does, which a simulated clock leaves out.
             left = self.budget.battery_wh - self._drawn(seen) - waited * HOTEL_W / 3600.0
             add("battery", "Wh", left, self._watt_hours, self._longest * HOTEL_W / 3600.0)
+        if self.tether is not None and strand is not None:
+            balances += self.tether.balances(strand)
         return tuple(balances)
 
     def _drawn(self, seen: Observation) -> float:

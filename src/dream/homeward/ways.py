@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from dream.control import setpoint
-from dream.geometry import SE2
+from dream.geometry import SE2, FloatArray
 from dream.protocol import SurveyProtocol
-from dream.types import Decision
+from dream.types import BoolArray, Decision
 
 if TYPE_CHECKING:
     from dream.mapping import OccupancyMap
@@ -21,7 +23,13 @@ Node = tuple[int, int, int]
 """Of the lattice from the world's origin: steps east, north and up; 0 up under a planar protocol."""
 
 
-def way_home(pose: SE2, z: float, occupancy: OccupancyMap, home: Place) -> list[Decision] | None:
+def way_home(
+    pose: SE2,
+    z: float,
+    occupancy: OccupancyMap,
+    home: Place,
+    kept_to: Callable[[FloatArray], BoolArray] | None = None,
+) -> list[Decision] | None:
     """The moves of a way with the fewest steps; empty where it is home, None where none is known.
 
     Args:
@@ -29,12 +37,17 @@ def way_home(pose: SE2, z: float, occupancy: OccupancyMap, home: Place) -> list[
         z: At which height.
         occupancy: What is known.
         home: Under a planar protocol its height counts for nothing.
+        kept_to: Which of some positions, (n, 3) metres, moves may end at; all that are known to be free
+            unless given.
     """
     protocol = occupancy.protocol
     if protocol.space is None:
         from dream.planning.travel import travel_from
 
         travel = travel_from(pose, occupancy)
+        if kept_to is not None:
+            at = np.insert(travel.lattice.positions, 2, z, axis=1)
+            travel = travel.kept_to(kept_to(at))
         node = travel.lattice.node(home[0], home[1])
         if travel.nearest[node] < 0:
             return None
@@ -45,6 +58,10 @@ def way_home(pose: SE2, z: float, occupancy: OccupancyMap, home: Place) -> list[
     assert occupancy.volume is not None
     volume, bounds = occupancy.volume, occupancy.bounds
     ways = occupancy.answer("ways in space", lambda: ways_in(volume, bounds, protocol))
+    if kept_to is not None:
+        stands = ways.stands.copy()
+        stands[ways.stands > 0] = kept_to(ways.positions[ways.stands > 0])
+        ways = replace(ways, stands=stands, _from={})
     goal = np.zeros(ways.shape, np.bool_)
     goal[ways.node(*home)] = True
     return ways.to(pose, z, goal, np.ones(protocol.headings, np.bool_))

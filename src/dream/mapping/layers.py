@@ -15,6 +15,7 @@ from dream.geometry import Bounds
 from dream.mapping._kernels import flags
 from dream.mapping._kernels.flags import EDGE
 from dream.mapping.blocks import BlockStore
+from dream.mapping.leash import Leash, flat_water
 from dream.protocol import SurveyProtocol
 from dream.types import BoolArray, Float32Array, IntArray
 
@@ -204,6 +205,8 @@ class Layers:
         self.protocol = protocol
         self.evidence = evidence
         self.area = area
+        self.leash: Leash | None = None
+        """Beyond which the vehicle may not go; see `OccupancyMap.hold`."""
         self._store = store
         self._origin = origin
         self._low = low
@@ -449,6 +452,25 @@ class Layers:
         )
         return away
 
+    @property
+    def left_of_leash(self) -> npt.NDArray[np.float64]:
+        """(rows, cols) metres that are left of the leash at each cell's centre, less than 0 beyond it.
+
+        Over traversable ground where the cell is that, else straight; infinite where nothing holds the vehicle.
+        """
+        return self._layer("left_of_leash", self._left_of_leash)
+
+    def _left_of_leash(self) -> npt.NDArray[Any]:
+        if self.leash is None:
+            return np.full(self.shape, np.inf)
+        (x, y, z), cell, bounds = self.leash.anchor, self.protocol.cell, self.bounds
+        water = flat_water(self.traversable, (bounds.x_min, bounds.y_min), cell)
+        first = np.array([bounds.x_min + 0.5 * cell, bounds.y_min + 0.5 * cell, z])
+        lengths = self.leash.lengths(water, first, cell, (1, *self._shape))[0]
+        east, north = self.center_of(*np.indices(self._shape))
+        straight = np.hypot(east - x, north - y)
+        return np.asarray(self.leash.metres - np.where(self.traversable, lengths, straight))
+
     def _distance_to_solid(self) -> npt.NDArray[Any]:
         from scipy import ndimage
 
@@ -479,7 +501,10 @@ class Layers:
 
     def _measure_room(self) -> npt.NDArray[np.int32]:
         # What lies outside the map's bounds was never written: it is not traversable either.
-        return self._clearance(~_is_crossable(self._wide("flags")) | (self._wide("log_odds") > 0))
+        barrier = ~_is_crossable(self._wide("flags")) | (self._wide("log_odds") > 0)
+        if self.leash is not None:
+            barrier |= np.pad(self.left_of_leash < 0.0, self._room_radius, constant_values=True)
+        return self._clearance(barrier)
 
     def _clearance(self, barrier: BoolArray) -> npt.NDArray[np.int32]:
         from dream.mapping._kernels import room

@@ -31,6 +31,7 @@ from dream.mapping.layers import (
     post_bits,
     probability_of_votes,
 )
+from dream.mapping.leash import Leash
 from dream.protocol import SurveyProtocol
 from dream.traversal import traversed
 from dream.types import BoolArray, Float32Array, Label
@@ -179,6 +180,13 @@ class OccupancyMap(Layers):
             if min(past_row, rows) <= max(row, 0) or min(past_col, cols) <= max(col, 0):
                 raise ValueError(f"area: expected a part of {self.bounds} with a cell in it, got {area}")
         self.area = area
+        self._changed()
+
+    def hold(self, leash: Leash | None) -> None:
+        """The vehicle may go no farther than a leash reaches from now on; None where nothing holds it."""
+        self.leash = leash
+        if self.volume is not None:
+            self.volume.leash = leash
         self._changed()
 
     def _write(self, name: str, low: tuple[int, int], cells: npt.NDArray[Any]) -> None:
@@ -457,7 +465,7 @@ class OccupancyMap(Layers):
         other._store = self._store.copy()
         other._stamp, other._datum, other.area = self._stamp, self._datum, self.area
         other._place, other.volume = self._place, None if self.volume is None else self.volume.copy()
-        other._changed()
+        other.hold(self.leash)
         return other
 
     def save(self, path: str | Path) -> None:

@@ -8,7 +8,7 @@ import json
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -19,8 +19,12 @@ from dream.geometry import SE3, Bounds, Camera, FloatArray
 from dream.mapping._kernels import volume as bricks_kernels
 from dream.mapping._kernels.volume import FELT, SIDE, VOXELS, Bricks
 from dream.mapping.blocks import grown
+from dream.mapping.leash import Leash
 from dream.protocol import SurveyProtocol
 from dream.types import BoolArray, Float32Array, IntArray, Label, UInt8Array
+
+if TYPE_CHECKING:
+    from dream.mapping._kernels.strings import Water
 
 KEPT = 1.5
 """Times the reach: how far returns are kept, and rays clear. What returns from beyond reach is a hint."""
@@ -149,11 +153,15 @@ class Volume:
         for name, length in (("reach", self._farthest), ("launch_radius", protocol.launch_radius)):
             if length / side > WIDEST:
                 raise ValueError(f"{name}: expected at most {WIDEST} voxels of {side} m, got {length} m")
+        self.leash: Leash | None = None
+        """Beyond which the vehicle may not go; see `OccupancyMap.hold`."""
         self._sees = 0.0
         self._bricks = _empty_bricks()
         self._scratch: Any = None
         self._surface: tuple[int, Surface] | None = None
         """The latest that was asked for, and of which revision it is."""
+        self._held: tuple[tuple[Any, ...], BoolArray] | None = None
+        """Likewise, and for which leash and grid."""
 
     # ------------------------------------------------------------------------------------ what goes in
 
@@ -326,6 +334,33 @@ class Volume:
             self._bricks, first, last, kernels.SweptBody(*self._body), self.cell
         )
         return Room(reason == FREE, reason, share, where)
+
+    def held(self, first: tuple[int, int, int], spacing: float, shape: tuple[int, int, int]) -> BoolArray:
+        """Which points of a grid the leash reaches through water that is known to be free; all without one.
+
+        Args:
+            first: Level, row and column of the first point, from the world's origin.
+            spacing: Metres between points.
+            shape: (levels, rows, cols).
+        """
+        if self.leash is None:
+            return np.ones(shape, np.bool_)
+        question = self.revision, self.leash, first, spacing, shape
+        if self._held is None or self._held[0] != question:
+            corner = np.array(first[::-1]) * spacing
+            lengths = self.leash.lengths(self.free_water(), corner, spacing, shape)
+            self._held = question, np.isfinite(lengths)
+        return self._held[1]
+
+    def free_water(self) -> Water:
+        """All that is known to be free."""
+        from dream.mapping._kernels.strings import Water
+
+        box = np.zeros((2, 3)) if self.box is None else self.box
+        low, past = np.rint(box[:, ::-1] / self.cell).astype(np.int64)
+        levels, rows, cols = (past - low).tolist()
+        states = self.states_in(low, (levels, rows, cols))
+        return Water((states == FREE).view(np.uint8), low[::-1] * self.cell, np.full(3, self.cell))
 
     def surface(self) -> Surface:
         """All solid voxels with a free one at a face.

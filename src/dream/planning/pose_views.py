@@ -207,7 +207,7 @@ class PoseViews:
         from dream.planning._kernels.moves import possible_moves
 
         protocol = self.mission.protocol
-        edge = occupancy.distance_to_bounds
+        edge = np.minimum(occupancy.distance_to_bounds, occupancy.left_of_leash)
         # From the bounds the body keeps off, no more.
         room = np.minimum(occupancy.distance_to_solid, edge + standoff - protocol.body_radius - protocol.cell)
         if foretold is not None and foretold.any():

@@ -48,6 +48,16 @@ class Travel:
         """(nodes,) which positions can be reached, with whatever heading."""
         return np.asarray(self.nearest >= 0)
 
+    def kept_to(self, good: BoolArray) -> Travel:
+        """The search over moves alone that end on nodes (nodes,) that are good."""
+        from dream.planning._kernels.moves import keep_to
+        from dream.planning._kernels.search import search
+
+        free = self.free.copy()
+        keep_to(free, self.lattice.graph, good, int(self.lattice.node_of(self.start)))
+        steps, parent, nearest = search(self.lattice.graph, free, self.start)
+        return Travel(self.lattice, self.start, steps, nearest, parent, free)
+
     def steps_to(self, nodes: IntArray) -> npt.NDArray[np.int32]:
         """(n, headings) to the poses of some nodes; −1 where it cannot be reached."""
         return self.lattice.by_heading(self.steps)[nodes]

@@ -177,6 +177,7 @@ def ways_in(volume: Volume, bounds: Bounds, protocol: SurveyProtocol) -> KnownWa
         constant_values=True,
     )
     stands[~_all_in_a_row(bare, clear, 0)[upright : upright + fine[0] : kernels.FINE]] = 0
+    stands &= volume.held((level, row, col), spacing, (levels, rows, cols))
     steps = np.array(protocol.turns, np.int64)
     none = np.zeros((protocol.headings, 1, 2), np.int64)
     # What lies beyond the area's cells has none: its edge in the north and the east is theirs no more.

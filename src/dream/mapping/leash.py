@@ -1,0 +1,72 @@
+"""How far a tether lets the vehicle go, by what the map knows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from dream.geometry import FloatArray
+from dream.types import BoolArray
+
+if TYPE_CHECKING:
+    from dream.mapping._kernels.strings import Water
+    from dream.mapping.occupancy import OccupancyMap
+
+ENDLESS = 1e6
+"""Metres above and below within which a planar map's cell is the same."""
+
+
+@dataclass(frozen=True, slots=True)
+class Leash:
+    """The longest string from a place that the vehicle may go on.
+
+    What it does: a place is within it where some way through water that is known to be free, straight or
+    round corners, is no longer. Which way the tether really lies counts for nothing here.
+    Reference: Nash et al., Theta*: Any-Angle Path Planning on Grids, 2007.
+    """
+
+    anchor: tuple[float, float, float]
+    """x, y and z, metres in the world."""
+    metres: float
+
+    def lengths(self, water: Water, first: FloatArray, spacing: float, shape: tuple[int, int, int]) -> FloatArray:
+        """Metres of string that the points of a grid take; infinite where they take more than there is.
+
+        Args:
+            water: What is known to be free.
+            first: (3,) x, y and z of the first point.
+            spacing: Metres between points.
+            shape: Levels, rows and columns.
+        """
+        from dream.mapping._kernels import strings as kernels
+
+        return np.asarray(kernels.lengths(water, np.array(self.anchor), first, spacing, shape, self.metres))
+
+
+def flat_water(free: BoolArray, corner: tuple[float, float], cell: float) -> Water:
+    """Water of the same kind at all heights.
+
+    Args:
+        free: (rows, cols).
+        corner: x and y of the lower left one.
+        cell: Metres of a side.
+    """
+    from dream.mapping._kernels.strings import Water
+
+    low, sides = np.array([*corner, -ENDLESS]), np.array([cell, cell, 2.0 * ENDLESS])
+    return Water(np.ascontiguousarray(free[None]).view(np.uint8), low, sides)
+
+
+def free_water(occupancy: OccupancyMap) -> Water:
+    """What a map knows to be free, at all heights alike under a planar protocol; the same to all who ask until
+    it changes."""
+
+    def find() -> Water:
+        if occupancy.volume is not None:
+            return occupancy.volume.free_water()
+        bounds = occupancy.bounds
+        return flat_water(occupancy.traversable, (bounds.x_min, bounds.y_min), occupancy.protocol.cell)
+
+    return occupancy.answer("free water", find)
