@@ -29,10 +29,13 @@ SLACK_TURNS = 0.1
 """Of them that are kept back: what bends it is known to a cell of the map only."""
 BEND = 0.25
 """Metres: what bends it aside by less is no bend, but the map's cells."""
-BESIDE = 1.5
+BESIDE = 1.0
 """Metres from the tether to which the way back along it keeps."""
-MOST_PULLED = 100
-"""Places from which every move is tried to find a way back on which the tether becomes ever shorter."""
+MOST_PULLED = 300
+"""Poses from which every move is tried to find a way back on which the tether keeps its side of everything."""
+EAGER = 1.5
+"""Steps that one step's length of tether counts for in that search: above 1 it finds a way sooner, that may be a
+little longer."""
 ROUGH = 0.5
 """Metres by which what planners are told falls short of it: it is no finer than the cells of the map."""
 HOME = 1.0
@@ -239,7 +242,7 @@ class Tether:
         return moves
 
     def _pulled(self, strand: Strand, pose: SE2, z: float, occupancy: OccupancyMap) -> list[Decision] | None:
-        """Moves that make it ever shorter, until nothing is out: a best-first search by what is out.
+        """Moves until nothing is out: a search by steps made and what is out (weighted A*).
 
         Its length is the distance to the anchor on the universal cover of the free water: where the tether
         lies otherwise, the vehicle is at another place, and no side of anything is ever changed.
@@ -254,12 +257,12 @@ class Tether:
             if turn != 0.0 or advance > 0.0 or climb != 0.0
         ]
         queue: list[tuple[float, int, SE2, float, Strand, list[Decision]]]
-        queue, reached, count = [(strand.length, 0, pose, z, strand, [])], set(), 0
+        queue, reached, count = [(0.0, 0, pose, z, strand, [])], set(), 0
         for _ in range(MOST_PULLED):
             if not queue:
                 return None
-            length, _, pose, z, strand, made = heapq.heappop(queue)
-            if length <= HOME and protocol.snap(pose) == protocol.snap(SE2(*self.anchor[:2], pose.yaw)):
+            _, _, pose, z, strand, made = heapq.heappop(queue)
+            if strand.length <= HOME and protocol.snap(pose) == protocol.snap(SE2(*self.anchor[:2], pose.yaw)):
                 return made
             for move in moves:
                 to, height = after(pose, z, move, occupancy)
@@ -270,5 +273,6 @@ class Tether:
                 if (*there, round(moved.length)) not in reached:
                     reached.add((*there, round(moved.length)))
                     count += 1
-                    heapq.heappush(queue, (moved.length, count, to, height, moved, [*made, move]))
+                    cost = len(made) + 1 + EAGER * moved.length / max(protocol.advances)
+                    heapq.heappush(queue, (cost, count, to, height, moved, [*made, move]))
         return None

@@ -20,6 +20,11 @@ GAIN = 1e-3
 PASSES = 100
 """Along the string at most."""
 
+NEAR = 12
+"""Boxes around both ends among which a way round what turned out not to be free is sought."""
+LONGEST = 4096
+"""Vertices that such ways take at most."""
+
 
 class Water(NamedTuple):
     """Boxes of water, side by side."""
@@ -159,10 +164,127 @@ def _slide(water, chain, i):
 
 
 @njit(cache=True, nogil=True)
+def _box_of(water, point):
+    """(3,) level, row and column of the box that a point lies in; its level −1 where that is not free."""
+    box = np.empty(3, np.int64)
+    for k in range(3):
+        box[2 - k] = math.floor((point[k] - water.low[k]) / water.sides[k])
+    for k in range(3):
+        if not 0 <= box[k] < water.free.shape[k]:
+            box[0] = -1
+            return box
+    if not water.free[box[0], box[1], box[2]]:
+        box[0] = -1
+    return box
+
+
+@njit(cache=True, nogil=True)
+def _round(water, first, last):
+    """The fewest free boxes that lead from one to another, face to face, near both.
+
+    Returns:
+        (n, 3) their middles, ends included; none where none lead there.
+    """
+    low, past = np.empty(3, np.int64), np.empty(3, np.int64)
+    for k in range(3):
+        low[k] = max(min(first[k], last[k]) - NEAR, 0)
+        past[k] = min(max(first[k], last[k]) + NEAR + 1, water.free.shape[k])
+    shape = past - low
+    before = np.full(shape[0] * shape[1] * shape[2], -1, np.int64)
+    start = ((first[0] - low[0]) * shape[1] + first[1] - low[1]) * shape[2] + first[2] - low[2]
+    goal = ((last[0] - low[0]) * shape[1] + last[1] - low[1]) * shape[2] + last[2] - low[2]
+    queue = np.empty(len(before), np.int64)
+    queue[0], before[start] = start, start
+    head, tail = 0, 1
+    while head < tail and before[goal] < 0:
+        here = queue[head]
+        head += 1
+        at = here // (shape[1] * shape[2]), here // shape[2] % shape[1], here % shape[2]
+        for n in range(6):
+            axis, step = n // 2, 2 * (n % 2) - 1
+            h = at[0] + (step if axis == 0 else 0)
+            i = at[1] + (step if axis == 1 else 0)
+            j = at[2] + (step if axis == 2 else 0)
+            if not (0 <= h < shape[0] and 0 <= i < shape[1] and 0 <= j < shape[2]):
+                continue
+            other = (h * shape[1] + i) * shape[2] + j
+            if before[other] >= 0 or not water.free[h + low[0], i + low[1], j + low[2]]:
+                continue
+            before[other] = here
+            queue[tail] = other
+            tail += 1
+    if before[goal] < 0:
+        return np.empty((0, 3))
+    count, here = 1, goal
+    while here != start:
+        here = before[here]
+        count += 1
+    middles, here = np.empty((count, 3)), goal
+    for n in range(count - 1, -1, -1):
+        middles[n, 0] = water.low[0] + (here % shape[2] + low[2] + 0.5) * water.sides[0]
+        middles[n, 1] = water.low[1] + (here // shape[2] % shape[1] + low[1] + 0.5) * water.sides[1]
+        middles[n, 2] = water.low[2] + (here // (shape[1] * shape[2]) + low[0] + 0.5) * water.sides[2]
+        here = before[here]
+    return middles
+
+
+@njit(cache=True, nogil=True)
+def released(water, points):
+    """A string led the shortest way round what turned out not to be free where it lay.
+
+    Args:
+        water: Where it may lie.
+        points: (n, 3) its vertices; the ends stay.
+
+    Returns:
+        (m, 3) its vertices; as they were where no way round is near.
+    """
+    spacing = 0.25 * min(water.sides[0], water.sides[1])
+    total = len(points)
+    for i in range(1, len(points)):
+        total += math.ceil(_apart(points[i - 1], points[i]) / spacing)
+    fine, count = np.empty((total, 3)), 1
+    fine[0] = points[0]
+    for i in range(1, len(points)):
+        samples = max(math.ceil(_apart(points[i - 1], points[i]) / spacing), 1)
+        for k in range(1, samples + 1):
+            fine[count] = points[i - 1] + (points[i] - points[i - 1]) * (k / samples)
+            count += 1
+    found = np.empty((count + LONGEST, 3))
+    found[0] = points[0]
+    length, k = 1, 1
+    level, led_round = len(water.free) == 1, False
+    while k < count:
+        if _box_of(water, fine[k])[0] >= 0 or length + count - k > len(found) - 1:
+            found[length] = fine[k]
+            length, k = length + 1, k + 1
+            continue
+        after = k
+        while after < count and _box_of(water, fine[after])[0] < 0:
+            after += 1
+        first = _box_of(water, found[length - 1])
+        if after < count and first[0] >= 0:
+            way = _round(water, first, _box_of(water, fine[after]))
+            if len(way) and length + len(way) + count - after < len(found):
+                for n in range(len(way)):
+                    found[length] = way[n]
+                    if level:
+                        found[length, 2] = fine[k, 2]
+                    length += 1
+                k, led_round = after, True
+                continue
+        while k < after:
+            found[length] = fine[k]
+            length, k = length + 1, k + 1
+    return found[:length].copy() if led_round else points
+
+
+@njit(cache=True, nogil=True)
 def tighten(water, points):
     """A string pulled tight without taking it across what is not free.
 
-    A part that lies in what is not free, since the map changed its mind, stays until it finds a way out.
+    What lies in what is not free, since the map changed its mind, is led round it first, or stays where no way
+    round is near.
 
     Args:
         water: Where it may lie.
@@ -171,6 +293,10 @@ def tighten(water, points):
     Returns:
         (m, 3) its vertices.
     """
+    for i in range(1, len(points)):
+        if way_to_first(water, points[i - 1], points[i]) < 1.0:
+            points = released(water, points)
+            break
     count = len(points)
     chain = np.empty((4 * count + 256, 3))
     chain[:count] = points
