@@ -109,6 +109,7 @@ def test_a_way_hardly_takes_more_than_its_margin_says() -> None:
         ({"seconds": 0.0}, "more than 0 s"),
         ({"seconds": math.nan}, "more than 0 s"),
         ({"battery_wh": -1.0}, "more than 0 Wh"),
+        ({"tether_m": -1.0}, "more than 0 m"),
         ({"home": (math.inf, 0.0)}, "finite metres"),
     ],
 )
@@ -117,7 +118,7 @@ def test_a_budget_that_is_none_is_refused(given: dict[str, Any], said: str) -> N
         Budget(**given)
 
 
-@pytest.mark.parametrize("budget", [Budget(), Budget(90.0), Budget(90.5, 12.25, (3.0, -4.5))])
+@pytest.mark.parametrize("budget", [Budget(), Budget(90.0), Budget(90.5, 12.25, 40.0, (3.0, -4.5))])
 def test_a_budget_is_read_as_it_was_written(budget: Budget) -> None:
     assert read_budget(json.loads(json.dumps(budget.as_dict()))) == budget
 
@@ -126,9 +127,9 @@ def test_a_budget_is_read_as_it_was_written(budget: Budget) -> None:
     "told",
     [
         {},
-        {"seconds": "many", "battery_wh": None, "home": None},
-        {"seconds": None, "battery_wh": None, "home": [1.0]},
-        {"seconds": -1.0, "battery_wh": None, "home": None},
+        {"seconds": "many", "battery_wh": None, "tether_m": None, "home": None},
+        {"seconds": None, "battery_wh": None, "tether_m": None, "home": [1.0]},
+        {"seconds": -1.0, "battery_wh": None, "tether_m": None, "home": None},
     ],
 )
 def test_a_damaged_budget_is_no_budget(told: dict[str, Any]) -> None:
@@ -544,7 +545,7 @@ def test_a_run_keeps_its_budget_and_how_it_stood_at_every_step(
     assert "it is home, where it went since the way home takes up to" in said
     (folder,) = (path for path in tmp_path.iterdir() if not path.is_symlink())
     config, summary, steps = read_config(folder), read_summary(folder), read_steps(folder)
-    assert config.budget == {"seconds": 60.0, "battery_wh": None, "home": None}
+    assert config.budget == {"seconds": 60.0, "battery_wh": None, "tether_m": None, "home": None}
     assert "--return start --budget-s 60" in repeating_command(config)
     assert summary is not None
     assert (summary.ended, summary.success, summary.t_stop) == ("returned", False, None)

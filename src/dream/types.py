@@ -318,12 +318,12 @@ class Balance:
     """How a mission stands with one thing that it spends, or may not run out of."""
 
     name: str
-    """`time`, `battery` or `steps`."""
+    """`time`, `battery`, `steps`, `tether` or `winding`."""
     unit: str
     left: float
-    """Of what it may spend."""
+    """Of what it may spend; of tether and winding the whole."""
     way: float
-    """That the way home takes, as expected."""
+    """That the way home takes, as expected; of tether and winding what is out."""
     margin: float
     """That it may take beyond."""
 

@@ -119,7 +119,7 @@ def simulate(
     protocol = ordered_in(world, protocol or protocol_named(world.protocol))
     check_fits(world, protocol)
     if budget is not None:
-        check_home(budget, world, protocol, solids)
+        check_home(budget, world, protocol, solids, start=start)
     # A model is shown finer pictures than the map is made from; nobody else pays for them.
     if fineness is None:
         fineness = SHOWN if isinstance(planner, Asking) else 1
@@ -142,7 +142,14 @@ def simulate(
     )
 
 
-def check_home(budget: Budget, world: World, protocol: SurveyProtocol, solids: Solids | None = None) -> None:
+def check_home(
+    budget: Budget,
+    world: World,
+    protocol: SurveyProtocol,
+    solids: Solids | None = None,
+    *,
+    start: int = 0,
+) -> None:
     """Raise a ValueError where a vehicle cannot come up from where it should go home to, or keep to the
     budget.
 
@@ -151,8 +158,11 @@ def check_home(budget: Budget, world: World, protocol: SurveyProtocol, solids: S
         world: Where.
         protocol: Whose vehicle.
         solids: Of this world, where they are made already.
+        start: Which of the world's start poses.
     """
     budget.check(world.bounds, protocol)
+    begins = world.starts[start]
+    budget.check_from(begins.x, begins.y)
     if budget.home is None:
         return
     x, y = budget.home
@@ -160,10 +170,9 @@ def check_home(budget: Budget, world: World, protocol: SurveyProtocol, solids: S
     # Inside a boulder it touches nothing; on the way up it does.
     up = (solids or Solids(world)).sweep_through((x, y, -protocol.body_height), (x, y, z), protocol)
     if up.contact:
-        start = world.starts[0]
         raise ValueError(
             f"home: expected a place from which the vehicle can come straight up, got ({x:g}, {y:g}), where "
-            f"something solid is. The mission starts at ({start.x:g}, {start.y:g})"
+            f"something solid is. The mission starts at ({begins.x:g}, {begins.y:g})"
         )
 
 
@@ -589,7 +598,7 @@ def fly_plan(plan: Plan, folder: Path, engine: Engine) -> Generator[Ended, None,
     check_fits(plan.cases[0].open(), plan.protocol)
     if plan.budget is not None:
         for case in plan.cases:
-            check_home(plan.budget, case.open(), plan.protocol)
+            check_home(plan.budget, case.open(), plan.protocol, start=case.start)
     with alone_at(folder, folder / ".lock"):
         manifest = _manifest(plan, folder, engine)
         write_manifest(folder, manifest)

@@ -79,15 +79,14 @@ class Budget:
         longest = math.hypot(max(protocol.advances) + protocol.lattice, *protocol.climbs[-1:])
         if (1.0 - SLACK) * self.tether_m < longest:
             raise ValueError(
-                f"tether: expected {longest / (1.0 - SLACK):.1f} m or more, for one move of {protocol.name} and "
-                f"a share of {SLACK:g} that is kept back, got {self.tether_m:g}"
+                f"tether: expected {longest / (1.0 - SLACK):.1f} m or more, for one move of {protocol.name} "
+                f"and a share of {SLACK:g} that is kept back, got {self.tether_m:g}"
             )
         if self.home is not None and not bounds.contains(*self.home, margin=protocol.body_radius):
             raise ValueError(
                 f"home: expected a place inside the survey area, {bounds}, with room for the vehicle, "
                 f"got ({self.home[0]:g}, {self.home[1]:g})"
             )
-
 
     def check_from(self, x: float, y: float) -> None:
         """Raise a ValueError where the tether does not reach from where it begins to where it should go home
@@ -103,8 +102,8 @@ class Budget:
         if away > (1.0 - SLACK) * self.tether_m:
             raise ValueError(
                 f"home: expected a place within {(1.0 - SLACK) * self.tether_m:.1f} m of the start at "
-                f"({x:g}, {y:g}), as far as a tether of {self.tether_m:g} m reaches with a share of {SLACK:g} "
-                f"kept back, got ({self.home[0]:g}, {self.home[1]:g}), {away:.1f} m away"
+                f"({x:g}, {y:g}), as far as a tether of {self.tether_m:g} m reaches with a share of "
+                f"{SLACK:g} kept back, got ({self.home[0]:g}, {self.home[1]:g}), {away:.1f} m away"
             )
 
 

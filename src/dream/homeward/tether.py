@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import heapq
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -16,7 +16,7 @@ from dream.homeward.budget import SLACK
 from dream.homeward.pace import DEVIATIONS
 from dream.homeward.ways import Place, after, way_home
 from dream.mapping.leash import Leash, free_water
-from dream.types import Balance, BoolArray, Decision, Observation
+from dream.types import Balance, BoolArray, Decision, Observation, Reasoning
 
 if TYPE_CHECKING:
     from dream.mapping import OccupancyMap
@@ -32,10 +32,10 @@ BEND = 0.25
 BESIDE = 1.0
 """Metres from the tether to which the way back along it keeps."""
 MOST_PULLED = 300
-"""Poses from which every move is tried to find a way back on which the tether keeps its side of everything."""
+"""Poses from which every move is tried to find a way back on which the tether changes no side of anything."""
 EAGER = 1.5
-"""Steps that one step's length of tether counts for in that search: above 1 it finds a way sooner, that may be a
-little longer."""
+"""Steps that one step's length of tether counts for in that search: above 1 it finds a way sooner, that may
+be a little longer."""
 ROUGH = 0.5
 """Metres by which what planners are told falls short of it: it is no finer than the cells of the map."""
 HOME = 1.0
@@ -55,7 +55,7 @@ class Strand:
     """
 
     points: FloatArray
-    """(n, 3) x, y and z of its vertices, metres in the world; the first is the anchor, the last the vehicle."""
+    """(n, 3) x, y and z of its vertices, metres in the world: from the anchor to the vehicle."""
 
     @classmethod
     def at(cls, anchor: Place) -> Strand:
@@ -111,8 +111,8 @@ class Tether:
     sigma: float = 0.0
     """Metres by which the position may err."""
     plan: list[tuple[SE2, float, Decision]] = field(default_factory=list)
-    """The way that it is on: from where each move leads. Ways found anew at every step may differ, and lead to
-    and fro."""
+    """The way that it is on: from where each move leads. Ways found anew at every step may differ, and lead
+    to and fro."""
     _goal: Place | None = None
     """Where that ends."""
 
@@ -134,9 +134,8 @@ class Tether:
         """The vehicle has made a move, straight to where it is."""
         self.sigma = sigma
         self.strand = self.strand.to(self.place(seen.pose, seen.z, occupancy), free_water(occupancy))
-        made = move.turn, move.advance, move.climb
-        on = bool(self.plan) and made == (self.plan[0][2].turn, self.plan[0][2].advance, self.plan[0][2].climb)
-        self.plan = self.plan[1:] if on else []
+        planned = self.plan[0][2] if self.plan else None
+        self.plan = self.plan[1:] if planned == replace(move, reasoning=Reasoning(), waited=0.0) else []
 
     def way_on(
         self, goals: tuple[Place, ...], seen: Observation, occupancy: OccupancyMap
@@ -262,7 +261,8 @@ class Tether:
             if not queue:
                 return None
             _, _, pose, z, strand, made = heapq.heappop(queue)
-            if strand.length <= HOME and protocol.snap(pose) == protocol.snap(SE2(*self.anchor[:2], pose.yaw)):
+            at_anchor = protocol.snap(pose) == protocol.snap(SE2(*self.anchor[:2], pose.yaw))
+            if at_anchor and strand.length <= HOME:
                 return made
             for move in moves:
                 to, height = after(pose, z, move, occupancy)

@@ -456,7 +456,7 @@ class Layers:
     def left_of_leash(self) -> npt.NDArray[np.float64]:
         """(rows, cols) metres that are left of the leash at each cell's centre, less than 0 beyond it.
 
-        Over traversable ground where the cell is that, else straight; infinite where nothing holds the vehicle.
+        Over traversable ground where the cell is that, else straight; infinite where there is none.
         """
         return self._layer("left_of_leash", self._left_of_leash)
 

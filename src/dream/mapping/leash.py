@@ -31,7 +31,9 @@ class Leash:
     """x, y and z, metres in the world."""
     metres: float
 
-    def lengths(self, water: Water, first: FloatArray, spacing: float, shape: tuple[int, int, int]) -> FloatArray:
+    def lengths(
+        self, water: Water, first: FloatArray, spacing: float, shape: tuple[int, int, int]
+    ) -> FloatArray:
         """Metres of string that the points of a grid take; infinite where they take more than there is.
 
         Args:
@@ -60,8 +62,8 @@ def flat_water(free: BoolArray, corner: tuple[float, float], cell: float) -> Wat
 
 
 def free_water(occupancy: OccupancyMap) -> Water:
-    """What a map knows to be free, at all heights alike under a planar protocol; the same to all who ask until
-    it changes."""
+    """What a map knows to be free, at all heights alike under a planar protocol; the same to all who ask
+    until it changes."""
 
     def find() -> Water:
         if occupancy.volume is not None:

@@ -52,7 +52,7 @@ const ends = (step) => ({
 
 // What is left beside what the way home takes; empty where no way is known.
 const balances = ({ home }) => home.balances.map(({ name, unit, left, way, margin }) => {
-  const amount = (value) => (unit === "s" ? minutes(value) : `${value.toFixed(unit === "Wh" ? 1 : 0)} ${unit}`);
+  const amount = (value) => (unit === "s" ? minutes(value) : `${value.toFixed(unit === "Wh" || unit === "turns" ? 1 : 0)} ${unit}`);
   return { name, left: left < 0 ? `${amount(-left)} too much` : amount(left), way: amount(way), margin: amount(margin), short: way + margin > left };
 });
 

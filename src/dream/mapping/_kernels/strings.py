@@ -141,7 +141,7 @@ def _slide(water, chain, i):
     held = way_to_first(water, a, chain[i]) < 1.0 or way_to_first(water, chain[i], c) < 1.0
     to = np.empty(3)
     reach = min(water.sides[0], water.sides[1])
-    for halving in range(3):
+    for _ in range(3):
         moved = True
         while moved:
             moved = False
@@ -283,8 +283,8 @@ def released(water, points):
 def tighten(water, points):
     """A string pulled tight without taking it across what is not free.
 
-    What lies in what is not free, since the map changed its mind, is led round it first, or stays where no way
-    round is near.
+    What lies in what is not free, since the map changed its mind, is led round it first, or stays where no
+    way round is near.
 
     Args:
         water: Where it may lie.

@@ -1,0 +1,223 @@
+"""The tether: how it lies when it is taut, how far it lets a mission go, and the way back along it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dream.cli import run_command
+from dream.evaluation.runner import simulate
+from dream.geometry import SE2, FloatArray
+from dream.homeward import Budget, tether
+from dream.homeward.tether import MOST_TURNS, Strand, Tether
+from dream.mapping import OccupancyMap
+from dream.mapping._kernels.strings import Water
+from dream.mapping.leash import Leash, flat_water
+from dream.planning import Belief
+from dream.protocol import DREAM_V1, protocol_named
+from dream.sim.world import World
+from dream.sim.worlds import make_world
+from dream.types import BoolArray, Decision, Step
+
+CELL = 0.25
+HALF = 12.0
+"""Metres from the middle of the water to its sides."""
+
+
+def water_without(solid: Callable[[FloatArray, FloatArray], BoolArray]) -> Water:
+    """Flat water but for what is solid at (x, y)."""
+    at = np.arange(-HALF + 0.5 * CELL, HALF, CELL)
+    return flat_water(~solid(*np.meshgrid(at, at)), (-HALF, -HALF), CELL)
+
+
+def square(side: float) -> Water:
+    """With a square pillar in the middle."""
+    return water_without(lambda x, y: (abs(x) < 0.5 * side) & (abs(y) < 0.5 * side))
+
+
+def pillar(radius: float) -> Water:
+    """With a round one."""
+    return water_without(lambda x, y: np.hypot(x, y) < radius)
+
+
+OPEN = water_without(lambda x, y: np.zeros(x.shape, np.bool_))
+
+
+def along(water: Water, places: list[tuple[float, float]]) -> Strand:
+    """Of a vehicle that went straight from place to place."""
+    strand = Strand.at((*places[0], 0.0))
+    for place in places[1:]:
+        strand = strand.to((*place, 0.0), water)
+    return strand
+
+
+def circle(radius: float, turns: float) -> list[tuple[float, float]]:
+    """Places on a way round the middle, from the west."""
+    angles = math.pi + np.linspace(0.0, 2.0 * math.pi * turns, math.ceil(24 * abs(turns)) + 1)
+    return [(radius * math.cos(a), radius * math.sin(a)) for a in angles]
+
+
+# ------------------------------------------------------------------------------------------- how it lies
+
+
+def test_where_nothing_is_solid_it_is_as_long_as_the_distance() -> None:
+    strand = along(OPEN, [(-9.0, -9.0), (3.0, -8.0), (9.0, 5.0), (-2.0, 9.0)])
+    assert strand.length == pytest.approx(math.hypot(7.0, 18.0), abs=1e-9)
+    assert strand.turns == 0.0
+
+
+def test_it_lies_round_the_corners_of_a_square() -> None:
+    strand = along(square(4.0), [(-6.0, 0.0), (-6.0, 5.0), (6.0, 5.0), (6.0, 0.0)])
+    bend = math.atan2(2.0, 4.0)
+    assert strand.length == pytest.approx(2.0 * math.hypot(4.0, 2.0) + 4.0, abs=0.1)
+    assert strand.turns == pytest.approx(2.0 * bend / (2.0 * math.pi), abs=0.01)
+
+
+@pytest.mark.parametrize("turns", [1.0, -1.0, 1.75])
+def test_it_lies_along_tangents_and_an_arc_of_a_round_pillar(turns: float) -> None:
+    far, radius = 8.0, 3.0
+    strand = along(pillar(radius), circle(far, turns))
+    # Each tangent takes this angle of the way round.
+    seen = math.acos(radius / far)
+    arc = 2.0 * math.pi * abs(turns) - 2.0 * seen
+    exact = 2.0 * math.sqrt(far**2 - radius**2) + radius * arc
+    assert exact - 0.1 <= strand.length <= 1.06 * exact
+    assert strand.turns == pytest.approx(arc / (2.0 * math.pi), abs=0.04)
+
+
+@pytest.mark.parametrize("turns", [0.6, 1.5])
+def test_there_and_back_leaves_nothing_out(turns: float) -> None:
+    places = circle(7.0, turns)
+    strand = along(pillar(3.0), [*places, *places[-2::-1]])
+    assert strand.length == pytest.approx(0.0, abs=1e-6)
+    assert strand.turns == 0.0
+
+
+def test_once_round_and_back_at_the_start_it_lies_round() -> None:
+    back = along(square(4.0), [(-6.0, 0.0), (-6.0, 6.0), (6.0, 6.0), (6.0, -6.0), (-6.0, -6.0), (-6.0, 0.0)])
+    assert back.length == pytest.approx(2.0 * math.hypot(4.0, 2.0) + 12.0, abs=0.2)
+
+
+def test_the_sides_of_a_pillar_are_told_apart() -> None:
+    left = along(square(4.0), [(-6.0, 0.0), (0.0, 5.0), (6.0, 0.0)])
+    right = along(square(4.0), [(-6.0, 0.0), (0.0, -5.0), (6.0, 0.0)])
+    assert left.length == pytest.approx(right.length, abs=0.1)
+    assert left.points[1:-1, 1].min() > 1.9
+    assert right.points[1:-1, 1].max() < -1.9
+
+
+def test_in_space_it_goes_over_a_wall_the_short_way() -> None:
+    free = np.ones((20, 40, 40), np.uint8)
+    free[:8, :, 20] = 0
+    water = Water(free, np.zeros(3), np.full(3, CELL))
+    strand = Strand.at((2.0, 5.0, 1.0)).to((2.0, 8.0, 4.0), water)
+    for place in [(8.0, 8.0, 4.0), (8.0, 5.0, 1.0)]:
+        strand = strand.to(place, water)
+    # Over the edge at z = 2 between x = 5 and 5.25, straight across.
+    exact = math.hypot(3.0, 1.0) + CELL + math.hypot(2.75, 1.0)
+    assert exact - 1e-6 <= strand.length <= exact + 0.15
+
+
+def test_what_turns_out_to_be_solid_where_it_lies_it_goes_round_on_its_side() -> None:
+    strand = along(square(4.0), [(-6.0, 0.0), (-6.0, 5.0), (6.0, 5.0), (6.0, 0.0)])
+    wider = strand.to((6.0, 0.0, 0.0), square(5.0))
+    assert wider.length == pytest.approx(2.0 * math.hypot(3.5, 2.5) + 5.0, abs=0.15)
+    again = wider.to((6.0, 0.0, 0.0), square(4.0))
+    assert again.length == pytest.approx(strand.length, abs=0.1)
+
+
+def test_where_all_turns_out_to_be_solid_it_stays_as_it_lay() -> None:
+    strand = along(square(4.0), [(-6.0, 0.0), (0.0, 5.0), (6.0, 0.0)])
+    nowhere = water_without(lambda x, y: np.ones(x.shape, np.bool_))
+    assert strand.to((6.0, 0.0, 0.0), nowhere).length == pytest.approx(strand.length, abs=1e-6)
+
+
+# ----------------------------------------------------------------------------------- how far it lets go
+
+
+def test_a_leash_goes_round_corners() -> None:
+    water = water_without(lambda x, y: (abs(x) < CELL) & (y < 4.0))
+    lengths = Leash((-4.0, 0.0, 0.0), 16.0).lengths(water, np.array([-10.0, -10.0, 0.0]), 0.5, (1, 41, 41))[0]
+    at = {place: lengths[round((place[1] + 10) / 0.5), round((place[0] + 10) / 0.5)] for place in FAR}
+    assert at[-8.0, 3.0] == pytest.approx(5.0, abs=1e-6)
+    round_it = 2.0 * math.hypot(3.75, 4.0) + 0.5
+    assert round_it - 1e-6 <= at[4.0, 0.0] <= 1.02 * round_it
+    assert at[9.0, -9.0] == math.inf
+
+
+FAR = [(-8.0, 3.0), (4.0, 0.0), (9.0, -9.0)]
+
+
+def test_it_lets_nobody_wind_it_beyond_the_limit(empty_world: World, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tether, "free_water", lambda occupancy: pillar(2.0))
+    occupancy = OccupancyMap(empty_world.bounds, DREAM_V1)
+    start = (0.0, -4.0, 0.0)
+    held = Tether(100.0, start, Strand.at(start))
+    once = [Decision(math.radians(30.0), 2.0)] * 12
+    pose = SE2(0.0, -4.0, -math.radians(30.0))
+    lies = held.along(once, held.strand, pose, 0.0, occupancy)
+    assert lies is not None
+    assert 0.4 < lies[-1].turns < MOST_TURNS
+    assert held.along(2 * once, held.strand, pose, 0.0, occupancy) is None
+    long = Tether(12.0, start, Strand.at(start))
+    assert long.along(once, long.strand, pose, 0.0, occupancy) is None
+
+
+# ---------------------------------------------------------------------------------------------- missions
+
+
+@pytest.fixture(scope="module")
+def reef() -> World:
+    return make_world("reef/patch", 3)
+
+
+def flown(world: World, metres: float, protocol: str, **more: int) -> list[Step]:
+    return list(simulate(world, Belief(), protocol_named(protocol), budget=Budget(tether_m=metres), **more))
+
+
+@pytest.mark.parametrize("protocol", ["dream-v1", "dream-v2"])
+def test_a_mission_keeps_to_its_tether_and_comes_home_along_it(reef: World, protocol: str) -> None:
+    metres = 12.0
+    steps = flown(reef, metres, protocol, max_steps=60)
+    start, last = steps[0].observation.pose, steps[-1]
+    assert last.ended in ("done", "returned")
+    for step in steps:
+        assert start.distance(step.observation.pose) <= 0.95 * metres
+        assert step.home is not None
+        balances = {balance.name: balance for balance in step.home.balances}
+        if balances:
+            assert not balances["tether"].short
+            assert not balances["winding"].short
+            assert balances["tether"].way >= start.distance(step.observation.pose) - 1e-6
+    assert max(start.distance(step.observation.pose) for step in steps) > 0.5 * metres
+    assert start.distance(last.observation.pose) < 0.1
+    assert last.home is not None
+    assert next(one.way for one in last.home.balances if one.name == "tether") <= 1.0
+    assert not any(step.arrival.collided for step in steps)
+
+
+def test_a_tether_that_is_never_taut_changes_nothing(reef: World) -> None:
+    free = list(simulate(reef, Belief(), DREAM_V1, max_steps=15, budget=Budget()))
+    held = flown(reef, 1000.0, "dream-v1", max_steps=15)
+    for one, other in zip(free[:8], held[:8], strict=True):
+        assert one.decision == other.decision
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--tether-m", "0"], "--tether-m: expected a number above 0, got 0"),
+        (["--tether-m", "2"], "tether: expected 2.6 m or more, for one move of dream-v1"),
+        (["--tether-m", "5", "--return", "0,0"], "home: expected a place within 4.8 m of the start"),
+    ],
+)
+def test_bad_tethers_are_told_before_there_is_a_folder(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], options: list[str], said: str
+) -> None:
+    assert run_command(["run", "--protocol", "dream-v1", *options, "--out", str(tmp_path)]) == 2
+    assert said in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
