@@ -15,7 +15,7 @@ from dream.geometry import SE2, FloatArray
 from dream.homeward.budget import SLACK
 from dream.homeward.pace import DEVIATIONS
 from dream.homeward.ways import Place, after, way_home
-from dream.mapping.leash import Leash, free_water
+from dream.mapping.leash import Leash, flat_water
 from dream.types import Balance, BoolArray, Decision, Observation, Reasoning
 
 if TYPE_CHECKING:
@@ -99,6 +99,19 @@ def _simplified(points: FloatArray) -> FloatArray:
     if aside[k] > BEND:
         return np.concatenate([_simplified(points[: k + 1])[:-1], _simplified(points[k:])])
     return points[[0, -1]] if square > 0.0 else points[:1]
+
+
+def free_water(occupancy: OccupancyMap) -> Water:
+    """What a map knows to be free, at all heights alike under a planar protocol; the same to all who ask
+    until it changes."""
+
+    def find() -> Water:
+        if occupancy.volume is not None:
+            return occupancy.volume.free_water()
+        bounds = occupancy.bounds
+        return flat_water(occupancy.traversable, (bounds.x_min, bounds.y_min), occupancy.protocol.cell)
+
+    return occupancy.answer("free water", find)
 
 
 @dataclass(slots=True, eq=False)

@@ -6,13 +6,12 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+import numpy.typing as npt
 
 from dream.geometry import FloatArray
-from dream.types import BoolArray
 
 if TYPE_CHECKING:
     from dream.mapping._kernels.strings import Water
-    from dream.mapping.occupancy import OccupancyMap
 
 ENDLESS = 1e6
 """Metres above and below within which a planar map's cell is the same."""
@@ -47,7 +46,7 @@ class Leash:
         return np.asarray(kernels.lengths(water, np.array(self.anchor), first, spacing, shape, self.metres))
 
 
-def flat_water(free: BoolArray, corner: tuple[float, float], cell: float) -> Water:
+def flat_water(free: npt.NDArray[np.bool_], corner: tuple[float, float], cell: float) -> Water:
     """Water of the same kind at all heights.
 
     Args:
@@ -59,16 +58,3 @@ def flat_water(free: BoolArray, corner: tuple[float, float], cell: float) -> Wat
 
     low, sides = np.array([*corner, -ENDLESS]), np.array([cell, cell, 2.0 * ENDLESS])
     return Water(np.ascontiguousarray(free[None]).view(np.uint8), low, sides)
-
-
-def free_water(occupancy: OccupancyMap) -> Water:
-    """What a map knows to be free, at all heights alike under a planar protocol; the same to all who ask
-    until it changes."""
-
-    def find() -> Water:
-        if occupancy.volume is not None:
-            return occupancy.volume.free_water()
-        bounds = occupancy.bounds
-        return flat_water(occupancy.traversable, (bounds.x_min, bounds.y_min), occupancy.protocol.cell)
-
-    return occupancy.answer("free water", find)
