@@ -13,9 +13,9 @@ from dream.cli import run_command
 from dream.evaluation.runner import simulate
 from dream.geometry import SE2, FloatArray
 from dream.homeward import Budget, tether
-from dream.homeward.tether import MOST_TURNS, Strand, Tether
+from dream.homeward.tether import MOST_TURNS, Strand, TetherKeeper
 from dream.mapping import OccupancyMap
-from dream.mapping._kernels.strings import Water
+from dream.mapping._kernels.strings import FreeWater
 from dream.mapping.leash import Leash, flat_water
 from dream.planning import Belief
 from dream.protocol import DREAM_V1
@@ -28,18 +28,18 @@ HALF = 12.0
 """Metres from the middle of the water to its sides."""
 
 
-def water_without(solid: Callable[[FloatArray, FloatArray], BoolArray]) -> Water:
+def water_without(solid: Callable[[FloatArray, FloatArray], BoolArray]) -> FreeWater:
     """Flat water but for what is solid at (x, y)."""
     at = np.arange(-HALF + 0.5 * CELL, HALF, CELL)
     return flat_water(~solid(*np.meshgrid(at, at)), (-HALF, -HALF), CELL)
 
 
-def square(side: float) -> Water:
+def square(side: float) -> FreeWater:
     """With a square pillar in the middle."""
     return water_without(lambda x, y: (abs(x) < 0.5 * side) & (abs(y) < 0.5 * side))
 
 
-def pillar(radius: float) -> Water:
+def pillar(radius: float) -> FreeWater:
     """With a round one."""
     return water_without(lambda x, y: np.hypot(x, y) < radius)
 
@@ -47,7 +47,7 @@ def pillar(radius: float) -> Water:
 OPEN = water_without(lambda x, y: np.zeros(x.shape, np.bool_))
 
 
-def along(water: Water, places: list[tuple[float, float]]) -> Strand:
+def along(water: FreeWater, places: list[tuple[float, float]]) -> Strand:
     """Of a vehicle that went straight from place to place."""
     strand = Strand.at((*places[0], 0.0))
     for place in places[1:]:
@@ -113,7 +113,7 @@ def test_the_sides_of_a_pillar_are_told_apart() -> None:
 def test_in_space_it_goes_over_a_wall_the_short_way() -> None:
     free = np.ones((20, 40, 40), np.uint8)
     free[:8, :, 20] = 0
-    water = Water(free, np.zeros(3), np.full(3, CELL))
+    water = FreeWater(free, np.zeros(3), np.full(3, CELL))
     strand = Strand.at((2.0, 5.0, 1.0)).to((2.0, 8.0, 4.0), water)
     for place in [(8.0, 8.0, 4.0), (8.0, 5.0, 1.0)]:
         strand = strand.to(place, water)
@@ -156,14 +156,14 @@ def test_it_lets_nobody_wind_it_beyond_the_limit(empty_world: World, monkeypatch
     monkeypatch.setattr(tether, "free_water", lambda occupancy: pillar(2.0))
     occupancy = OccupancyMap(empty_world.bounds, DREAM_V1)
     start = (0.0, -4.0, 0.0)
-    held = Tether(100.0, start, Strand.at(start))
+    held = TetherKeeper(100.0, start, Strand.at(start))
     once = [Decision(math.radians(30.0), 2.0)] * 12
     pose = SE2(0.0, -4.0, -math.radians(30.0))
     lies = held.along(once, held.strand, pose, 0.0, occupancy)
     assert lies is not None
     assert 0.4 < lies[-1].turns < MOST_TURNS
     assert held.along(2 * once, held.strand, pose, 0.0, occupancy) is None
-    long = Tether(12.0, start, Strand.at(start))
+    long = TetherKeeper(12.0, start, Strand.at(start))
     assert long.along(once, long.strand, pose, 0.0, occupancy) is None
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from dream.geometry import SE2
 from dream.homeward.budget import Budget
 from dream.homeward.pace import DEVIATIONS, SPEED, TURN_RATE, Pace, nominal_seconds
-from dream.homeward.tether import Strand, Tether
+from dream.homeward.tether import Strand, TetherKeeper
 from dream.homeward.ways import Node, Place, after, move_to, node_of, places, way_home
 from dream.types import LOOK_AROUND, Arrival, Balance, Decision, Home, Observation, Reasoning
 from dream.vehicle import HOTEL_W
@@ -71,7 +71,7 @@ class Homeward:
     """Is the move at hand one back along it?"""
     _looks: int = 0
     """Looks around that are due, since going back as it came failed."""
-    tether: Tether | None = None
+    tether: TetherKeeper | None = None
     """That it drags."""
     _unwinds_to: Place | None = None
     """Where it was asked to go, to which it leads by another way; None while it leads nowhere."""
@@ -89,7 +89,7 @@ class Homeward:
         budget.check_from(*start[:2])
         tether = None
         if math.isfinite(budget.tether_m):
-            tether = Tether(budget.tether_m, start, Strand.at(start))
+            tether = TetherKeeper(budget.tether_m, start, Strand.at(start))
             occupancy.hold(tether.leash)
         return cls(budget, start, first, cap, ticking=ticking, tether=tether)
 

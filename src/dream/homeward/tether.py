@@ -20,7 +20,7 @@ from dream.types import Balance, BoolArray, Decision, Observation, Reasoning
 
 if TYPE_CHECKING:
     from dream.mapping import OccupancyMap
-    from dream.mapping._kernels.strings import Water
+    from dream.mapping._kernels.strings import FreeWater
 
 MOST_TURNS = 1.0
 """Turns that it may be wound through, all its bends together: with friction μ the pull at its end grows by
@@ -31,7 +31,7 @@ BEND = 0.25
 """Metres: what bends it aside by less is no bend, but the map's cells."""
 BESIDE = 1.0
 """Metres from the tether to which the way back along it keeps."""
-MOST_PULLED = 300
+MOST_PULLED = 100
 """Poses from which every move is tried to find a way back on which the tether changes no side of anything."""
 EAGER = 1.5
 """Steps that one step's length of tether counts for in that search: above 1 it finds a way sooner, that may
@@ -62,7 +62,7 @@ class Strand:
         """Nothing of it is out."""
         return cls(np.array([anchor]))
 
-    def to(self, place: Place, water: Water) -> Strand:
+    def to(self, place: Place, water: FreeWater) -> Strand:
         """Once the vehicle has moved straight to a place."""
         from dream.mapping._kernels.strings import tighten
 
@@ -81,7 +81,7 @@ class Strand:
         cosines = (along[:-1] * along[1:]).sum(axis=1)
         return float(np.arccos(np.clip(cosines, -1.0, 1.0)).sum() / (2.0 * math.pi))
 
-    def beside(self, points: FloatArray, water: Water, reach: float) -> BoolArray:
+    def beside(self, points: FloatArray, water: FreeWater, reach: float) -> BoolArray:
         """Which of (n, 3) points lie so many metres beside it, with free water in between."""
         from dream.mapping._kernels.strings import beside
 
@@ -101,11 +101,11 @@ def _simplified(points: FloatArray) -> FloatArray:
     return points[[0, -1]] if square > 0.0 else points[:1]
 
 
-def free_water(occupancy: OccupancyMap) -> Water:
+def free_water(occupancy: OccupancyMap) -> FreeWater:
     """What a map knows to be free, at all heights alike under a planar protocol; the same to all who ask
     until it changes."""
 
-    def find() -> Water:
+    def find() -> FreeWater:
         if occupancy.volume is not None:
             return occupancy.volume.free_water()
         bounds = occupancy.bounds
@@ -115,7 +115,7 @@ def free_water(occupancy: OccupancyMap) -> Water:
 
 
 @dataclass(slots=True, eq=False)
-class Tether:
+class TetherKeeper:
     """Keeps a mission from going farther than its tether, and from winding it around what stands there."""
 
     metres: float

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from dream.geometry import FloatArray
 
 if TYPE_CHECKING:
-    from dream.mapping._kernels.strings import Water
+    from dream.mapping._kernels.strings import FreeWater
 
 ENDLESS = 1e6
 """Metres above and below within which a planar map's cell is the same."""
@@ -31,7 +31,7 @@ class Leash:
     metres: float
 
     def lengths(
-        self, water: Water, first: FloatArray, spacing: float, shape: tuple[int, int, int]
+        self, water: FreeWater, first: FloatArray, spacing: float, shape: tuple[int, int, int]
     ) -> FloatArray:
         """Metres of string that the points of a grid take; infinite where they take more than there is.
 
@@ -46,7 +46,7 @@ class Leash:
         return np.asarray(kernels.lengths(water, np.array(self.anchor), first, spacing, shape, self.metres))
 
 
-def flat_water(free: npt.NDArray[np.bool_], corner: tuple[float, float], cell: float) -> Water:
+def flat_water(free: npt.NDArray[np.bool_], corner: tuple[float, float], cell: float) -> FreeWater:
     """Water of the same kind at all heights.
 
     Args:
@@ -54,7 +54,7 @@ def flat_water(free: npt.NDArray[np.bool_], corner: tuple[float, float], cell: f
         corner: x and y of the lower left one.
         cell: Metres of a side.
     """
-    from dream.mapping._kernels.strings import Water
+    from dream.mapping._kernels.strings import FreeWater
 
     low, sides = np.array([*corner, -ENDLESS]), np.array([cell, cell, 2.0 * ENDLESS])
-    return Water(np.ascontiguousarray(free[None]).view(np.uint8), low, sides)
+    return FreeWater(np.ascontiguousarray(free[None]).view(np.uint8), low, sides)

@@ -24,7 +24,7 @@ from dream.protocol import SurveyProtocol
 from dream.types import BoolArray, Float32Array, IntArray, Label, UInt8Array
 
 if TYPE_CHECKING:
-    from dream.mapping._kernels.strings import Water
+    from dream.mapping._kernels.strings import FreeWater
 
 KEPT = 1.5
 """Times the reach: how far returns are kept, and rays clear. What returns from beyond reach is a hint."""
@@ -352,15 +352,15 @@ class Volume:
             self._held = question, np.isfinite(lengths)
         return self._held[1]
 
-    def free_water(self) -> Water:
+    def free_water(self) -> FreeWater:
         """All that is known to be free."""
-        from dream.mapping._kernels.strings import Water
+        from dream.mapping._kernels.strings import FreeWater
 
         box = np.zeros((2, 3)) if self.box is None else self.box
         low, past = np.rint(box[:, ::-1] / self.cell).astype(np.int64)
         levels, rows, cols = (past - low).tolist()
         states = self.states_in(low, (levels, rows, cols))
-        return Water((states == FREE).view(np.uint8), low[::-1] * self.cell, np.full(3, self.cell))
+        return FreeWater((states == FREE).view(np.uint8), low[::-1] * self.cell, np.full(3, self.cell))
 
     def surface(self) -> Surface:
         """All solid voxels with a free one at a face.

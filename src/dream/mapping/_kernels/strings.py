@@ -26,7 +26,7 @@ LONGEST = 4096
 """Vertices that such ways take at most."""
 
 
-class Water(NamedTuple):
+class FreeWater(NamedTuple):
     """Boxes of water, side by side."""
 
     free: npt.NDArray[np.uint8]
