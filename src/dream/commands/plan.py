@@ -40,8 +40,8 @@ class MissionPlan:
     """Tell what an area will take, from simulated missions in worlds of that size: time, way, battery and
     coverage, each with its spread. Leaves a page with pictures, and plan.json.
 
-    Every mission goes home in the end. With --budget-s or --battery-wh the same worlds are flown once more
-    by vehicles that may spend no more, and what they saw by then is told. After an interruption the same
+    Every mission goes home in the end. With --budget-s, --battery-wh or --tether-m the same worlds are flown once
+    more by vehicles that have no more, and what they saw by then is told. After an interruption the same
     command goes on; with more --missions it keeps those that are flown.
 
     Examples:
@@ -175,5 +175,5 @@ def _without_limits(budget: Budget | None) -> Budget:
 
 def _named(budget: Budget) -> str:
     """A folder for what is flown with a budget."""
-    limits = {"s": budget.seconds, "Wh": budget.battery_wh}
+    limits = {"s": budget.seconds, "Wh": budget.battery_wh, "m": budget.tether_m}
     return "-".join(["within", *(f"{most:g}{unit}" for unit, most in limits.items() if math.isfinite(most))])

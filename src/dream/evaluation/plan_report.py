@@ -133,6 +133,8 @@ def _limits(budget: Budget) -> str:
         said.append(f"within {budget.seconds:g} s")
     if math.isfinite(budget.battery_wh):
         said.append(f"with {budget.battery_wh:g} Wh")
+    if math.isfinite(budget.tether_m):
+        said.append(f"on a tether of {budget.tether_m:g} m")
     return " and ".join(said)
 
 
