@@ -71,6 +71,12 @@ class Nominal(NamedTuple):
     """(K,) the thrust curve: commands, never falling."""
     roots: Float64Array
     """(K,) and the root of the force with its sign, √N."""
+    least: Float64Array
+    """(n,) N that may be asked of each thruster, the hardest astern,"""
+    most: Float64Array
+    """(n,) and the hardest ahead."""
+    held: Float64Array
+    """(n,) N of each thruster that stand against what a jammed one does; 0 where none is."""
 
 
 class Limits(NamedTuple):
@@ -312,15 +318,16 @@ def allocate(demand: Float64Array, nominal: Nominal, commands: Float64Array) -> 
     Returns:
         The share of the wrench that is given.
     """
-    lowest, highest = -nominal.roots[0] * nominal.roots[0], nominal.roots[-1] * nominal.roots[-1]
     forces, share = np.dot(nominal.sharing, demand), 1.0
-    for force in forces:
-        if force > highest:
-            share = min(share, highest / force)
-        elif force < lowest:
-            share = min(share, lowest / force)
+    for i in range(len(forces)):
+        force = forces[i]
+        # Not that of what a jammed thruster does: less of that would turn the vehicle.
+        if force > nominal.most[i] - nominal.held[i]:
+            share = min(share, (nominal.most[i] - nominal.held[i]) / force)
+        elif force < nominal.least[i] - nominal.held[i]:
+            share = min(share, (nominal.least[i] - nominal.held[i]) / force)
     for i in range(len(commands)):
-        commands[i] = command(nominal.commands, nominal.roots, share * forces[i])
+        commands[i] = command(nominal.commands, nominal.roots, share * forces[i] + nominal.held[i])
     return share
 
 

@@ -228,4 +228,7 @@ def nominal(hull: Hull, thrusters: Thrusters) -> _kernels.Nominal:
         np.ascontiguousarray(np.linalg.pinv(thrusters.allocation)),
         commands,
         roots,
+        least=np.full(thrusters.count, -roots[0] * roots[0]),
+        most=np.full(thrusters.count, roots[-1] * roots[-1]),
+        held=np.zeros(thrusters.count),
     )

@@ -10,18 +10,19 @@ import numpy.typing as npt
 from numba import njit
 
 from dream.control import _kernels as control
+from dream.control.diagnosis import _kernels as diagnosis
 from dream.estimation._kernels import inekf, kalman
 from dream.estimation._kernels.sensors import Parameters as Instruments
 from dream.sim import _kernels as world
 from dream.sim.sensors import _kernels as sensors
 from dream.sim.vehicle import _kernels as water
-from dream.vehicle._kernels import watts
+from dream.vehicle._kernels import Fault, obeyed, thrust, watts
 
 Float64Array = npt.NDArray[np.float64]
 
-ARRIVED, COLLIDED, LATE, GIVEN_UP, BROKEN = range(5)
+ARRIVED, COLLIDED, LATE, GIVEN_UP, BROKEN, NAMED = range(6)
 """How a move ended: there, by contact, out of time, given up because the estimate is not to be trusted, or
-because the simulated motion is not."""
+because the simulated motion is not, or broken off because the fault of a thruster was named."""
 FARTHEST = 1e5
 """Metres from the origin beyond which it is not."""
 MOST_BEATS = 64
@@ -39,16 +40,19 @@ CHECKED = 10
 """Beats between two looks at how sure the filter is."""
 
 # What `Voyage.clock` holds.
-CLOCK = 14
+CLOCK = 15
 TIME, NEXT_PING, ARRIVES, SENT, ABOVE, LAST_DVL, LAST_DEPTH, LAST_IMU = range(8)
-SEABED, DISTANCE, WAY, CLEARANCE, CONDITION, DRAWN = range(8, CLOCK)
-"""`DISTANCE` is over ground, `WAY` through the water, heights counted; `DRAWN` is in joules."""
+SEABED, DISTANCE, WAY, CLEARANCE, CONDITION, DRAWN, FAILED = range(8, CLOCK)
+"""`DISTANCE` is over ground, `WAY` through the water, heights counted; `DRAWN` is in joules, and `FAILED` is
+when a thruster first gave another force than it was commanded."""
 
 
 class Ship(NamedTuple):
     """All that stays as it is during a mission."""
 
     body: water.Body
+    fault: Fault
+    """Of a thruster, of which the autopilot is not told."""
     flow: water.Flow
     solids: world.Index
     radius: float
@@ -72,6 +76,7 @@ class Ship(NamedTuple):
     filter: Instruments
     gains: control.Gains
     nominal: control.Nominal
+    craft: diagnosis.Craft
     limits: control.Limits
     watt_commands: Float64Array
     """Commands at the points of what a thruster draws,"""
@@ -100,6 +105,7 @@ class Voyage(NamedTuple):
     memory: Float64Array
     """(14,) of the autopilot."""
     commands: Float64Array
+    diagnosis: diagnosis.Memory
     clock: Float64Array
     """(CLOCK,) seconds, metres, the worst condition of the move and joules; see the names above."""
     sample: Float64Array
@@ -143,14 +149,21 @@ def swim(ship: Ship, voyage: Voyage, before: Float64Array, rng: np.random.Genera
     """A beat of water and contact, from the state that is copied to `before`; False where it is none."""
     clock, x, none = voyage.clock, voyage.x, np.zeros(3)
     before[:] = x
+    commands = voyage.commands.copy()
+    if clock[TIME] >= ship.fault.at:
+        fails, u = ship.fault.thruster, commands[ship.fault.thruster]
+        commands[fails] = obeyed(ship.fault, ship.body.commands, ship.body.roots, u)
+        given = thrust(ship.body.commands, ship.body.roots, commands[fails])
+        if given != thrust(ship.body.commands, ship.body.roots, u):
+            clock[FAILED] = min(clock[FAILED], clock[TIME])
     water.stir(ship.flow, ship.dt, rng, voyage.gust)
-    if not water.advance(ship.body, ship.flow, voyage.gust, none, voyage.commands, ship.dt, x):
+    if not water.advance(ship.body, ship.flow, voyage.gust, none, commands, ship.dt, x):
         return False
     if abs(x[0]) + abs(x[1]) + abs(x[2]) > FARTHEST:
         return False
     clock[TIME] += ship.dt
     drawn = ship.hotel
-    for u in voyage.commands:
+    for u in commands:
         drawn += watts(ship.watt_commands, ship.watt_roots, u)
     clock[DRAWN] += drawn * ship.dt
     over_ground = math.hypot(x[0] - before[0], x[1] - before[1])
@@ -341,6 +354,18 @@ def fly(
             if valid and not lost and not sensors.silent(ship.outages, sensors.DVL, now):
                 clock[SENT], clock[ARRIVES], clock[ABOVE] = 0, now + delay, above
                 at_ping = s
+        named = diagnosis.beat(
+            ship.craft,
+            voyage.diagnosis,
+            voyage.commands,
+            sample[:3] - s.gyro_bias,
+            sample[3:6] - s.accelerometer_bias,
+            clock[LAST_IMU] == now,
+            s.rotation,
+            s.velocity,
+            voyage.memory[8:14],
+            ship.dt,
+        )
         # ------------------------------------------------------------------------------ is it there?
         yaw = math.atan2(s.rotation[1, 0], s.rotation[0, 0])
         if beat < len(track):
@@ -350,6 +375,8 @@ def fly(
         if struck:
             # A contact that goes on is one: so it can slide off the way it came.
             return s, at_ping, COLLIDED, beat + 1
+        if named:
+            return s, at_ping, NAMED, beat + 1
         there = (
             math.hypot(goal[0] - s.position[0], goal[1] - s.position[1]) <= near
             and abs(control.wrapped(goal[2] - yaw)) <= aligned

@@ -9,6 +9,8 @@ import numpy as np
 
 from dream.control._kernels import begin
 from dream.control.autopilot import Autopilot, nominal
+from dream.control.diagnosis import Diagnosis, Finding, controllable, failing, found, learnt_before
+from dream.control.diagnosis._kernels import forget
 from dream.control.health import Condition, Watch
 from dream.errors import MissionAborted
 from dream.estimation import InEkf, InEkfState, InertialErrors, Mounting, Start
@@ -37,7 +39,8 @@ from dream.sim.solids import Solids
 from dream.sim.vehicle import BLUEROV2_HEAVY, Current, Diverged, Spread, State, Vehicle
 from dream.sim.world import World
 from dream.types import Arrival, Observation, Setpoint
-from dream.vehicle import GRAVITY, HOTEL_W, watt_points
+from dream.vehicle import GRAVITY, HOTEL_W, ThrusterFault, watt_points
+from dream.vehicle._kernels import NO_FAULT
 
 BEAT = 0.01
 """Seconds of water, inertial unit, estimate and autopilot."""
@@ -75,10 +78,13 @@ class Motion:
     compass: Compass = AHRS
     autopilot: Autopilot = field(default_factory=Autopilot)
     watch: Watch = field(default_factory=Watch)
+    diagnosis: Diagnosis = field(default_factory=Diagnosis)
     outages: tuple[Outage, ...] = ()
     """When its sensors are silent."""
     dvl_bursts: Bursts = field(default_factory=Bursts)
     """When its DVL loses the bottom, for no reason that is seen."""
+    fault: ThrusterFault | None = None
+    """Of one of its thrusters, of which the autopilot is not told."""
     near: float = 0.05
     """Metres from a setpoint, by the estimate, that count as there."""
     aligned: float = math.radians(2.0)
@@ -97,6 +103,8 @@ class Motion:
             every = 1.0 / (rate * BEAT)
             if every < 1.0 - 1e-9 or abs(every - round(every)) > 1e-6:
                 raise ValueError(f"{name}.rate: expected a part of {1.0 / BEAT:g} Hz, got {rate:g}")
+        if self.fault is not None:
+            self.fault.check_fits(self.vehicle.thrusters.count)
         if abs(self.imu.rate * BEAT - 1.0) > 1e-9:
             raise ValueError(f"imu.rate: expected {1.0 / BEAT:g} Hz, as the loop, got {self.imu.rate:g}")
 
@@ -135,7 +143,8 @@ class Simulated:
     filter of `estimation` and the autopilot of `control`, in one compiled loop at 100 Hz. What it observes is
     drawn from where it really is, and says where it believes to be. A contact ends the move. At the launch it
     was held still at a pose that it knows as well as the filter's `Start` says, which frees the gyroscopes of
-    their bias and sets the compass.
+    their bias and sets the compass. Once the fault of a thruster is named, it goes on with the others, slower,
+    and its observations tell of the trouble; where the others do not do, it surfaces.
 
     Assumes: a launch whose pose in the map is known to about a degree and a centimetre.
     Fails when: the estimate is lost, which ends the mission by its name.
@@ -178,6 +187,8 @@ class Simulated:
         self._tilt = protocol.camera_pitch
         self._depth = -float(T_world_base.translation[2])
         self._moves = 0
+        self.finding: Finding | None = None
+        """The fault of a thruster, once it is named."""
         self._ship, self._voyage = _launched(
             motion, protocol, solids or Solids(world), T_world_base, seabed, self._rng
         )
@@ -190,7 +201,7 @@ class Simulated:
 
     def observe(self) -> Observation:
         """One frame from where it really is, with the pose that it believes in; the same until it moves."""
-        return self._camera.observe(
+        seen = self._camera.observe(
             float(self._voyage.clock[_kernels.TIME]),
             self._moves,
             self.truth,
@@ -198,6 +209,7 @@ class Simulated:
             self._tilt,
             float(self._voyage.clock[_kernels.DRAWN]) / JOULES,
         )
+        return seen if self.finding is None else replace(seen, trouble=str(self.finding))
 
     def go_to(self, setpoint: Setpoint) -> Arrival:
         """Swim there; at contact, stop. The camera tilts on the way.
@@ -206,7 +218,8 @@ class Simulated:
         since the filter has its heights from there.
 
         Raises:
-            MissionAborted: The estimate is not to be trusted any more; the vehicle has surfaced, or tried to.
+            MissionAborted: The estimate is not to be trusted any more, or the thrusters that are left do not
+            do; the vehicle has surfaced, or tried to.
             Diverged: The simulated motion is not: a parameter is wrong.
         """
         motion = self._motion
@@ -216,11 +229,12 @@ class Simulated:
             # Where it is sent is a height as its observations tell it.
             setpoint = replace(setpoint, z=setpoint.z - self._camera.errors.height)
             gap = math.hypot(gap, setpoint.z - up)
-        seconds = 2.0 * gap / motion.helmsman.speed + 2.0 * math.pi / motion.helmsman.turn_rate + ROOM
-        clock = self._voyage.clock
+        clock, before = self._voyage.clock, self.finding
         clock[[_kernels.DISTANCE, _kernels.WAY, _kernels.CONDITION]] = 0.0
         clock[_kernels.CLEARANCE] = math.inf
-        how = self._fly(setpoint, seconds)
+        how = self._fly(setpoint, self._seconds(gap))
+        if how == _kernels.NAMED:
+            how = self._fly(setpoint, self._seconds(gap))
         self._moves += 1
         self._tilt = self._tilt if setpoint.tilt is None else setpoint.tilt
         condition = Condition(int(clock[_kernels.CONDITION]))
@@ -236,7 +250,7 @@ class Simulated:
             collided=collided,
             distance=float(clock[_kernels.DISTANCE if setpoint.z is None else _kernels.WAY]),
             clearance=float(clock[_kernels.CLEARANCE]),
-            note=_note(condition, late=how == _kernels.LATE),
+            note=_note(condition, self.finding if before is None else None, late=how == _kernels.LATE),
             sigma=float(_kernels.position_sigma(self._state)),
             truth=self.truth,
             contact=(x, y, z + self._camera.errors.height) if collided else None,
@@ -252,10 +266,36 @@ class Simulated:
         """What it knows of its motion."""
         return InEkfState(*self._state)
 
+    def _seconds(self, gap: float) -> float:
+        """That a move over so many metres may take."""
+        gains = self._ship.gains
+        return 2.0 * gap / gains.speed + 2.0 * math.pi / gains.turn_rate + ROOM
+
+    def _adapt(self, finding: Finding) -> None:
+        """Go on with the thrusters that are left, slower, as if what was learnt since had not been.
+
+        Raises:
+            MissionAborted: They do not do.
+        """
+        self.finding = finding
+        motion, voyage = self._motion, self._voyage
+        hull, thrusters = motion.vehicle.slowest, motion.vehicle.thrusters
+        pace = motion.diagnosis.pace
+        names = ("speed", "acceleration", "turn_rate", "turn_acceleration", "ascent")
+        slower = {name: pace * getattr(motion.helmsman, name) for name in names}
+        self._ship = self._ship._replace(
+            nominal=failing(self._ship.nominal, hull, thrusters, finding),
+            gains=replace(motion.helmsman, **slower).gains,
+        )
+        voyage.memory[8:14] = learnt_before(voyage.diagnosis)
+        voyage.memory[4:8] *= pace
+        if not controllable(thrusters, finding):
+            raise MissionAborted(f"{finding}, and the others cannot steer without it; {self._surface()}")
+
     def _surface(self) -> str:
         """Go straight up, without an estimate; how that went."""
         began = self._voyage.clock[_kernels.TIME]
-        seconds = 2.0 * self._depth / self._motion.autopilot.ascent + ROOM
+        seconds = 2.0 * self._depth / self._ship.gains.ascent + ROOM
         if not _kernels.surface(self._ship, self._voyage, seconds, self._rng):
             raise Diverged("motion: expected one that stays near the world, got none on the way up")
         deep, took = -float(self._voyage.x[2]), self._voyage.clock[_kernels.TIME] - began
@@ -285,15 +325,23 @@ class Simulated:
             self._voyage.memory[:] = begin(
                 self._state.position, self.estimate.pose.yaw, motion.autopilot.drag_share
             )
+            # What the vehicle touches pushes it, too.
+            forget(self._voyage.diagnosis)
+        if self.finding is None:
+            named = found(self._voyage.diagnosis, float(self._voyage.clock[_kernels.TIME]))
+            if named is not None:
+                self._adapt(named)
         return int(how)
 
 
-def _note(condition: Condition, *, late: bool) -> str:
+def _note(condition: Condition, finding: Finding | None, *, late: bool) -> str:
     told = {
         Condition.BLIND: "no bottom track for a while: it went slowly",
         Condition.LOST: "no bottom track for long: it held",
     }
     parts = [told[condition]] if condition in told else []
+    if finding is not None:
+        parts.append(str(finding))
     if late:
         parts.append("the move took too long and was broken off")
     return "; ".join(parts)
@@ -323,6 +371,7 @@ def _launched(
     watt_commands, watt_roots = watt_points(truth.thrusters.voltage)
     ship = _kernels.Ship(
         body=truth.body,
+        fault=NO_FAULT if motion.fault is None else motion.fault.packed,
         flow=current.flow,
         solids=solids.index,
         radius=protocol.body_radius,
@@ -342,6 +391,7 @@ def _launched(
         filter=filtering.compiled,
         gains=motion.helmsman.gains,
         nominal=nominal(motion.vehicle.slowest, motion.vehicle.thrusters),
+        craft=motion.diagnosis.craft(motion.vehicle.slowest, motion.vehicle.thrusters),
         limits=motion.watch.limits,
         watt_commands=watt_commands,
         watt_roots=watt_roots,
@@ -351,7 +401,7 @@ def _launched(
         heading_every=round(1.0 / (motion.compass.rate * BEAT)),
     )
     clock = np.zeros(_kernels.CLOCK)
-    clock[_kernels.SENT], clock[_kernels.SEABED] = -1.0, seabed
+    clock[_kernels.SENT], clock[_kernels.SEABED], clock[_kernels.FAILED] = -1.0, seabed, math.inf
     voyage = _kernels.Voyage(
         x=x.vector,
         contact=np.zeros(3),
@@ -361,6 +411,7 @@ def _launched(
         compass_error=error,
         memory=begin(x.position, T_world_base.yaw, motion.autopilot.drag_share),
         commands=np.zeros(truth.thrusters.count),
+        diagnosis=motion.diagnosis.begin(motion.vehicle.slowest, motion.vehicle.thrusters),
         clock=clock,
         sample=np.array([0.0, 0.0, 0.0, 0.0, 0.0, GRAVITY, math.nan, math.nan]),
         # It ends at once, and the good state begins.

@@ -3,12 +3,33 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 from numba import njit
 
 Float64Array = npt.NDArray[np.float64]
+
+DEAD, WEAK, JAMMED = range(3)
+"""See `faults.FaultKind`."""
+WEAK_SHARE = 0.3
+"""Of its force, that a weak thruster gives."""
+JAMMED_COMMAND = 0.5
+"""That a jammed thruster runs at."""
+
+
+class Fault(NamedTuple):
+    """`faults.ThrusterFault`, ready for the loops."""
+
+    thruster: int
+    """Counted from 0."""
+    kind: int
+    at: float
+    """Seconds; infinite where nothing fails."""
+
+
+NO_FAULT = Fault(0, DEAD, math.inf)
 
 
 @njit(cache=True, nogil=True)
@@ -45,3 +66,13 @@ def command(commands: Float64Array, roots: Float64Array, force: float) -> float:
         return 0.0
     root = math.copysign(math.sqrt(abs(force)), force)
     return between(roots, commands, root)
+
+
+@njit(cache=True, nogil=True)
+def obeyed(fault: Fault, commands: Float64Array, roots: Float64Array, u: float) -> float:
+    """The command whose force a thruster with that fault gives when it is commanded u."""
+    if fault.kind == DEAD:
+        return 0.0
+    if fault.kind == JAMMED:
+        return JAMMED_COMMAND
+    return command(commands, roots, WEAK_SHARE * thrust(commands, roots, u))
