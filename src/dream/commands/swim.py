@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
 
 if TYPE_CHECKING:
     from dream.protocol import SurveyProtocol
@@ -26,19 +28,23 @@ class Swim:
     """Share of the time in which the DVL does not see the bottom, 0 to 1; each time lasts 3 s."""
     anchoring: bool = True
     """Do not correct the position by ground that is seen again."""
+    fault: Annotated[str | None, tyro.conf.arg(metavar="KIND:NUMBER@SECONDS")] = None
+    """A thruster that fails: dead, weak or jammed, its number from 1 on, and when, as in dead:3@40."""
 
     def chosen(self, protocol: SurveyProtocol) -> Swimming | None:
         """None under a protocol by which nothing swims; a ValueError where something was chosen for it."""
         if not protocol.swims:
             if self != Swim():
                 raise ValueError(
-                    "--vehicle, --current, --gust, --dvl, --dvl-losses, --no-anchoring: expected a protocol "
-                    f"by which a vehicle swims with them, got {protocol.name}. Say --protocol dream-v2-nav"
+                    "--vehicle, --current, --gust, --dvl, --dvl-losses, --no-anchoring, --fault: expected a "
+                    f"protocol by which a vehicle swims with them, got {protocol.name}. "
+                    "Say --protocol dream-v2-nav"
                 )
             return None
         from dream.robots import Anchoring, Motion, Swimming
         from dream.sim.sensors import DVL_A50, DVL_A50_PERFORMANCE, Bursts
         from dream.sim.vehicle import BLUEROV2, BLUEROV2_HEAVY
+        from dream.vehicle import read_fault
 
         motion = Motion(
             vehicle={"heavy": BLUEROV2_HEAVY, "bluerov2": BLUEROV2}[self.vehicle],
@@ -46,5 +52,6 @@ class Swim:
             gust=self.gust,
             dvl={"standard": DVL_A50, "performance": DVL_A50_PERFORMANCE}[self.dvl],
             dvl_bursts=Bursts(share=self.dvl_losses),
+            fault=None if self.fault is None else read_fault(self.fault),
         )
         return Swimming(motion, Anchoring() if self.anchoring else None)

@@ -16,7 +16,7 @@ from dream.estimation._kernels.sensors import Parameters as Instruments
 from dream.sim import _kernels as world
 from dream.sim.sensors import _kernels as sensors
 from dream.sim.vehicle import _kernels as water
-from dream.vehicle._kernels import Fault, obeyed, thrust, watts
+from dream.vehicle._kernels import PackedFault, obeyed, thrust, watts
 
 Float64Array = npt.NDArray[np.float64]
 
@@ -51,7 +51,7 @@ class Ship(NamedTuple):
     """All that stays as it is during a mission."""
 
     body: water.Body
-    fault: Fault
+    fault: PackedFault
     """Of a thruster, of which the autopilot is not told."""
     flow: water.Flow
     solids: world.Index
@@ -76,7 +76,7 @@ class Ship(NamedTuple):
     filter: Instruments
     gains: control.Gains
     nominal: control.Nominal
-    craft: diagnosis.Craft
+    plant: diagnosis.Plant
     limits: control.Limits
     watt_commands: Float64Array
     """Commands at the points of what a thruster draws,"""
@@ -355,7 +355,7 @@ def fly(
                 clock[SENT], clock[ARRIVES], clock[ABOVE] = 0, now + delay, above
                 at_ping = s
         named = diagnosis.beat(
-            ship.craft,
+            ship.plant,
             voyage.diagnosis,
             voyage.commands,
             sample[:3] - s.gyro_bias,
@@ -363,6 +363,7 @@ def fly(
             clock[LAST_IMU] == now,
             s.rotation,
             s.velocity,
+            math.sqrt(s.covariance[0, 0] + s.covariance[1, 1]),
             voyage.memory[8:14],
             ship.dt,
         )

@@ -9,7 +9,7 @@ import numpy as np
 
 from dream.control._kernels import begin
 from dream.control.autopilot import Autopilot, nominal
-from dream.control.diagnosis import Diagnosis, Finding, controllable, failing, found, learnt_before
+from dream.control.diagnosis import Diagnosis, NamedFault, controllable, failing, found, learnt_before
 from dream.control.diagnosis._kernels import forget
 from dream.control.health import Condition, Watch
 from dream.errors import MissionAborted
@@ -187,7 +187,7 @@ class Simulated:
         self._tilt = protocol.camera_pitch
         self._depth = -float(T_world_base.translation[2])
         self._moves = 0
-        self.finding: Finding | None = None
+        self.finding: NamedFault | None = None
         """The fault of a thruster, once it is named."""
         self._ship, self._voyage = _launched(
             motion, protocol, solids or Solids(world), T_world_base, seabed, self._rng
@@ -271,7 +271,7 @@ class Simulated:
         gains = self._ship.gains
         return 2.0 * gap / gains.speed + 2.0 * math.pi / gains.turn_rate + ROOM
 
-    def _adapt(self, finding: Finding) -> None:
+    def _adapt(self, finding: NamedFault) -> None:
         """Go on with the thrusters that are left, slower, as if what was learnt since had not been.
 
         Raises:
@@ -334,7 +334,7 @@ class Simulated:
         return int(how)
 
 
-def _note(condition: Condition, finding: Finding | None, *, late: bool) -> str:
+def _note(condition: Condition, finding: NamedFault | None, *, late: bool) -> str:
     told = {
         Condition.BLIND: "no bottom track for a while: it went slowly",
         Condition.LOST: "no bottom track for long: it held",
@@ -391,7 +391,7 @@ def _launched(
         filter=filtering.compiled,
         gains=motion.helmsman.gains,
         nominal=nominal(motion.vehicle.slowest, motion.vehicle.thrusters),
-        craft=motion.diagnosis.craft(motion.vehicle.slowest, motion.vehicle.thrusters),
+        plant=motion.diagnosis.plant(motion.vehicle.slowest, motion.vehicle.thrusters),
         limits=motion.watch.limits,
         watt_commands=watt_commands,
         watt_roots=watt_roots,

@@ -19,7 +19,7 @@ JAMMED_COMMAND = 0.5
 """That a jammed thruster runs at."""
 
 
-class Fault(NamedTuple):
+class PackedFault(NamedTuple):
     """`faults.ThrusterFault`, ready for the loops."""
 
     thruster: int
@@ -29,7 +29,7 @@ class Fault(NamedTuple):
     """Seconds; infinite where nothing fails."""
 
 
-NO_FAULT = Fault(0, DEAD, math.inf)
+NO_FAULT = PackedFault(0, DEAD, math.inf)
 
 
 @njit(cache=True, nogil=True)
@@ -69,7 +69,7 @@ def command(commands: Float64Array, roots: Float64Array, force: float) -> float:
 
 
 @njit(cache=True, nogil=True)
-def obeyed(fault: Fault, commands: Float64Array, roots: Float64Array, u: float) -> float:
+def obeyed(fault: PackedFault, commands: Float64Array, roots: Float64Array, u: float) -> float:
     """The command whose force a thruster with that fault gives when it is commanded u."""
     if fault.kind == DEAD:
         return 0.0

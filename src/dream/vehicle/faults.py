@@ -62,9 +62,9 @@ class ThrusterFault:
             )
 
     @property
-    def packed(self) -> _kernels.Fault:
+    def packed(self) -> _kernels.PackedFault:
         """As the kernels take it."""
-        return _kernels.Fault(self.thruster - 1, self.kind.code, float(self.at_s))
+        return _kernels.PackedFault(self.thruster - 1, self.kind.code, float(self.at_s))
 
 
 def read_fault(told: str) -> ThrusterFault:

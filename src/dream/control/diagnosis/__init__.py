@@ -1,5 +1,12 @@
 """Commands and motion → which thruster fails, and how."""
 
-from dream.control.diagnosis.diagnosis import Diagnosis, Finding, controllable, failing, found, learnt_before
+from dream.control.diagnosis.diagnosis import (
+    Diagnosis,
+    NamedFault,
+    controllable,
+    failing,
+    found,
+    learnt_before,
+)
 
-__all__ = ["Diagnosis", "Finding", "controllable", "failing", "found", "learnt_before"]
+__all__ = ["Diagnosis", "NamedFault", "controllable", "failing", "found", "learnt_before"]

@@ -1,9 +1,9 @@
 """Kernels that find the fault of a thruster: commands and motion in, which thruster fails and how out.
 
 All take plain numbers, float64 arrays and tuples of those. What is not known of a healthy vehicle is one
-vector of `UNKNOWN` numbers: the share of the model's drag, the current (2) in the world, the net buoyancy,
-where the centre of buoyancy lies ahead and to the left, and a force (2) ahead and to the left that stands for
-what accelerometers and level read wrong.
+vector of `UNKNOWN` numbers: the share of the model's drag along the axes and about them, the current (2) in
+the world, the net buoyancy, where the centre of buoyancy lies ahead and to the left, and a force (2) ahead and
+to the left that stands for what accelerometers and level read wrong.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from dream.vehicle._kernels import DEAD, JAMMED, WEAK, WEAK_SHARE, thrust
 
 Float64Array = npt.NDArray[np.float64]
 
-UNKNOWN = 8
-DRAG, EAST, NORTH, LIFT, AHEAD, LEFT, SURGE, SWAY = range(UNKNOWN)
+UNKNOWN = 9
+DRAG, SPIN, EAST, NORTH, LIFT, AHEAD, LEFT, SURGE, SWAY = range(UNKNOWN)
 BEATS = 10
 """Of a bin, over which motion and thrust are averaged."""
 BINS = 30
@@ -31,6 +31,10 @@ LEAST_DRAG, MOST_DRAG = 0.05, 2.0
 """Of the model's."""
 UNBELIEVED = 4.0
 """Standard deviations by which the motion may differ before a bin says nothing about what is not known."""
+CAUTION = 2.0
+"""How much more a bin is taken to err when what is not known is learnt from it: neighbours err alike."""
+AGREE = 3
+"""Bins running by which the same fault has to be the likeliest: the first one has it only in part."""
 FIT = 3.0
 """Mean square, in standard deviations, that a fault may leave unexplained."""
 
@@ -41,17 +45,17 @@ MOST_THRUSTERS = SLOPES - THRUST
 WIDTH = SLOPES + 6 * UNKNOWN
 
 # What `Memory.clock` holds.
-CLOCK = 6
-FILLED, COUNT, NAMED, KIND, FORCE, AGREED = range(CLOCK)
-"""Beats in the open bin, bins that are kept, thruster (−1: none), kind and force of the named one, and the
-hypothesis that was the best one bin ago."""
+CLOCK = 7
+FILLED, COUNT, NAMED, KIND, FORCE, LIKELIEST, AGREED = range(CLOCK)
+"""Beats in the open bin, bins that are kept, thruster (−1: none), kind and force of the named one, which fault
+was the likeliest one bin ago, and for how many bins running it has been."""
 
 # What `Memory.sums` holds of the open bin, before the forces (n).
 SUMS = 12
 TURN, PULL, SPEED, DOWN = 0, 3, 6, 9
 
 
-class Craft(NamedTuple):
+class Plant(NamedTuple):
     """What is known of a vehicle, and by how much it may be wrong."""
 
     mass: float
@@ -123,7 +127,7 @@ class Memory(NamedTuple):
 
 @njit(cache=True, nogil=True)
 def motion(
-    craft: Craft,
+    plant: Plant,
     unknown: Float64Array,
     rotation: Float64Array,
     velocity: Float64Array,
@@ -133,28 +137,34 @@ def motion(
     """Write the wrench (6) of all but the thrusters on a moving vehicle (Fossen 2011, eq. 8.1 to 8.18).
 
     Args:
-        craft: The vehicle.
+        plant: The vehicle.
         unknown: (UNKNOWN,).
         rotation: (3, 3) `R_world_base`.
         velocity: (3,) m/s over ground in `base`.
         rates: (3,) rad/s in `base`.
         out: (6,) N and N m in `base`, which thrust and inertia have to balance.
     """
-    share, east, north, lift = unknown[DRAG], unknown[EAST], unknown[NORTH], unknown[LIFT]
+    share, spin, east, north, lift = (
+        unknown[DRAG],
+        unknown[SPIN],
+        unknown[EAST],
+        unknown[NORTH],
+        unknown[LIFT],
+    )
     u, v, w = velocity[0], velocity[1], velocity[2]
     p, q, r = rates[0], rates[1], rates[2]
     cu = rotation[0, 0] * east + rotation[1, 0] * north
     cv = rotation[0, 1] * east + rotation[1, 1] * north
     cw = rotation[0, 2] * east + rotation[1, 2] * north
     ur, vr, wr = u - cu, v - cv, w - cw
-    added, mass = craft.added, craft.mass
+    added, mass = plant.added, plant.mass
     px, py, pz = added[0] * ur, added[1] * vr, added[2] * wr
-    hx = (craft.moments[0] + added[3]) * p
-    hy = (craft.moments[1] + added[4]) * q
-    hz = (craft.moments[2] + added[5]) * r
+    hx = (plant.moments[0] + added[3]) * p
+    hy = (plant.moments[1] + added[4]) * q
+    hz = (plant.moments[2] + added[5]) * r
     x, y, z = rotation[2, 0], rotation[2, 1], rotation[2, 2]
-    buoyancy = craft.weight + lift
-    bx, by, bz = unknown[AHEAD], unknown[LEFT], craft.righting
+    buoyancy = plant.weight + lift
+    bx, by, bz = unknown[AHEAD], unknown[LEFT], plant.righting
     out[0] = x * lift + unknown[SURGE] - q * (mass * w + pz) + r * (mass * v + py)
     out[1] = y * lift + unknown[SWAY] - r * (mass * u + px) + p * (mass * w + pz)
     out[2] = z * lift - p * (mass * v + py) + q * (mass * u + px)
@@ -164,34 +174,40 @@ def motion(
     out[0] -= added[0] * (q * cw - r * cv)
     out[1] -= added[1] * (r * cu - p * cw)
     out[2] -= added[2] * (p * cv - q * cu)
-    out[0] -= share * (craft.linear[0] + craft.quadratic[0] * abs(ur)) * ur
-    out[1] -= share * (craft.linear[1] + craft.quadratic[1] * abs(vr)) * vr
-    out[2] -= share * (craft.linear[2] + craft.quadratic[2] * abs(wr)) * wr
-    out[3] -= share * (craft.linear[3] + craft.quadratic[3] * abs(p)) * p
-    out[4] -= share * (craft.linear[4] + craft.quadratic[4] * abs(q)) * q
-    out[5] -= share * (craft.linear[5] + craft.quadratic[5] * abs(r)) * r
+    out[0] -= share * (plant.linear[0] + plant.quadratic[0] * abs(ur)) * ur
+    out[1] -= share * (plant.linear[1] + plant.quadratic[1] * abs(vr)) * vr
+    out[2] -= share * (plant.linear[2] + plant.quadratic[2] * abs(wr)) * wr
+    out[3] -= spin * (plant.linear[3] + plant.quadratic[3] * abs(p)) * p
+    out[4] -= spin * (plant.linear[4] + plant.quadratic[4] * abs(q)) * q
+    out[5] -= spin * (plant.linear[5] + plant.quadratic[5] * abs(r)) * r
 
 
 @njit(cache=True, nogil=True)
 def slopes(
-    craft: Craft,
+    plant: Plant,
     unknown: Float64Array,
     rotation: Float64Array,
     velocity: Float64Array,
     rates: Float64Array,
+    spread: Float64Array,
     here: Float64Array,
     out: Float64Array,
 ) -> None:
-    """Write `motion` (6) to `here`, and what it changes by (6, UNKNOWN) with what is not known to `out`."""
-    motion(craft, unknown, rotation, velocity, rates, here)
-    moved, beside = unknown.copy(), np.empty(6)
+    """Write `motion` (6) to `here`, and what it changes by (6, UNKNOWN) with what is not known to `out`.
+
+    That is the slope of a chord over its spread (UNKNOWN): at rest in a current, the tangent to a drag that
+    goes with the square of the speed would be none.
+    """
+    motion(plant, unknown, rotation, velocity, rates, here)
+    moved, low, high = unknown.copy(), np.empty(6), np.empty(6)
     for k in range(UNKNOWN):
-        step = 1e-4 if k in (AHEAD, LEFT) else 1e-3
-        moved[k] = unknown[k] + step
-        motion(craft, moved, rotation, velocity, rates, beside)
+        moved[k] = unknown[k] + spread[k]
+        motion(plant, moved, rotation, velocity, rates, high)
+        moved[k] = unknown[k] - spread[k]
+        motion(plant, moved, rotation, velocity, rates, low)
         moved[k] = unknown[k]
         for i in range(6):
-            out[i, k] = (beside[i] - here[i]) / step
+            out[i, k] = (high[i] - low[i]) / (2.0 * spread[k])
 
 
 @njit(cache=True, nogil=True)
@@ -205,7 +221,7 @@ def absorb(
     """Correct what is not known by a bin: a Kalman filter, axis by axis; what is far off is not believed."""
     moved, gain, along = np.zeros(UNKNOWN), np.empty(UNKNOWN), np.empty(UNKNOWN)
     for i in range(6):
-        variance, error = noise[i] * noise[i], residual[i]
+        variance, error = (CAUTION * noise[i]) ** 2, residual[i]
         for k in range(UNKNOWN):
             along[k] = 0.0
             for j in range(UNKNOWN):
@@ -226,7 +242,8 @@ def absorb(
         for j in range(k):
             both = 0.5 * (covariance[k, j] + covariance[j, k])
             covariance[k, j] = covariance[j, k] = both
-    mean[DRAG] = min(max(mean[DRAG], LEAST_DRAG), MOST_DRAG)
+    for k in (DRAG, SPIN):
+        mean[k] = min(max(mean[k], LEAST_DRAG), MOST_DRAG)
 
 
 @njit(cache=True, nogil=True)
@@ -257,7 +274,7 @@ def solve(A: Float64Array, B: Float64Array) -> None:
 
 
 @njit(cache=True, nogil=True)
-def compare(craft: Craft, memory: Memory, out: Float64Array) -> tuple[float, float, float, int]:
+def compare(plant: Plant, memory: Memory, out: Float64Array, forces: Float64Array) -> None:
     """The likelihood of every fault over that of none, and how well the likeliest fits.
 
     What a fault of thruster i adds to what is measured lies along its column of the allocation: −f where it
@@ -267,18 +284,15 @@ def compare(craft: Craft, memory: Memory, out: Float64Array) -> tuple[float, flo
     the likelihoods are those of Gaussians without it (generalized least squares).
 
     Args:
-        craft: The vehicle.
+        plant: The vehicle.
         memory: With its bins.
-        out: (n, 3) is filled with the greatest logarithm of a likelihood ratio over the windows, for each
-            thruster and kind.
-
-    Returns:
-        What a jammed thruster does, N; the mean square of what the likeliest fault leaves unexplained, and
-        of what none does; and the bins of its window.
+        out: (n, 3) is filled with the greatest logarithm of a likelihood ratio over the windows that a fault
+            explains, for each thruster and kind; −∞ where it explains none.
+        forces: (n,) is filled with what each would do if it were jammed, N.
     """
     count, n = int(memory.clock[COUNT]), len(memory.force)
     out[:] = -math.inf
-    best, best_force, best_left, best_healthy, best_bins = -math.inf, 0.0, math.inf, 0.0, 0
+    forces[:] = 0.0
     # Sums over the window, in standard deviations: of y (what is measured), H (slopes), and the columns of
     # each thruster, times its force and times one.
     yy, Hy, HH = 0.0, np.zeros(UNKNOWN), np.zeros((UNKNOWN, UNKNOWN))
@@ -300,7 +314,7 @@ def compare(craft: Craft, memory: Memory, out: Float64Array) -> tuple[float, flo
                 for j in range(UNKNOWN):
                     HH[k, j] += sure * hk * row[SLOPES + UNKNOWN * i + j]
             for t in range(n):
-                column = craft.allocation[i, t]
+                column = plant.allocation[i, t]
                 if column == 0.0:
                     continue
                 force = row[THRUST + t]
@@ -322,7 +336,7 @@ def compare(craft: Craft, memory: Memory, out: Float64Array) -> tuple[float, flo
         for k in range(UNKNOWN):
             for j in range(UNKNOWN):
                 B[k, j] = P[k, j]
-            B[k, k] += craft.walk[k] * craft.walk[k] * back * 0.1
+            B[k, k] += plant.walk[k] * plant.walk[k] * back * 0.1
         # (P⁻¹ + HᵀH)⁻¹ = (I + P HᵀH)⁻¹ P.
         for k in range(UNKNOWN):
             for j in range(UNKNOWN):
@@ -359,45 +373,47 @@ def compare(craft: Craft, memory: Memory, out: Float64Array) -> tuple[float, flo
             weak = -lost * f_y - 0.5 * lost * lost * f_f
             jammed, force = -math.inf, 0.0
             for side in (-1.0, 1.0):
-                does = side * max(side * (c_y + f_c) / c_c, craft.jam)
+                does = side * max(side * (c_y + f_c) / c_c, plant.jam)
                 more = does * (c_y + f_c) - 0.5 * does * does * c_c
                 if dead + more > jammed:
                     jammed, force = dead + more, does
             for kind, ratio in ((DEAD, dead), (WEAK, weak), (JAMMED, jammed)):
-                out[t, kind] = max(out[t, kind], ratio)
-                if ratio > best:
-                    best, best_force = ratio, force
-                    best_left, best_healthy = (left - 2.0 * ratio) / (6 * back), left / (6 * back)
-                    best_bins = back
-    return best_force, best_left, best_healthy, best_bins
+                # A window that begins before the fault says less than a shorter one.
+                if left - 2.0 * ratio > FIT * 6 * back:
+                    continue
+                if ratio > out[t, kind]:
+                    out[t, kind] = ratio
+                    if kind == JAMMED:
+                        forces[t] = force
 
 
 @njit(cache=True, nogil=True)
-def judge(craft: Craft, memory: Memory) -> bool:
-    """Write the thruster, the kind and the force of a fault that is certain by the last two bins; is one?"""
+def judge(plant: Plant, memory: Memory) -> bool:
+    """Write the thruster, the kind and the force of a fault that is certain by the last bins; is one?"""
     n = len(memory.force)
-    ratios = np.empty((n, 3))
-    force, left, _, _ = compare(craft, memory, ratios)
+    ratios, forces = np.empty((n, 3)), np.empty(n)
+    compare(plant, memory, ratios, forces)
     best, found = -math.inf, -1
     for t in range(n):
         for kind in range(3):
             if ratios[t, kind] > best:
                 best, found = ratios[t, kind], 3 * t + kind
-    agreed = memory.clock[AGREED] == found
-    memory.clock[AGREED] = found
-    if not (best > craft.certain and left < FIT and agreed):
+    clock = memory.clock
+    clock[AGREED] = clock[AGREED] + 1.0 if clock[LIKELIEST] == found else 1.0
+    clock[LIKELIEST] = found
+    if not (best > plant.certain and clock[AGREED] >= AGREE):
         return False
     for t in range(n):
         for kind in range(3):
-            if 3 * t + kind != found and ratios[t, kind] > best - craft.margin:
+            if 3 * t + kind != found and ratios[t, kind] > best - plant.margin:
                 return False
-    memory.clock[NAMED], memory.clock[KIND], memory.clock[FORCE] = found // 3, found % 3, force
+    clock[NAMED], clock[KIND], clock[FORCE] = found // 3, found % 3, forces[found // 3]
     return True
 
 
 @njit(cache=True, nogil=True)
 def beat(
-    craft: Craft,
+    plant: Plant,
     memory: Memory,
     commands: Float64Array,
     gyro: Float64Array,
@@ -405,13 +421,14 @@ def beat(
     heard: bool,
     rotation: Float64Array,
     velocity: Float64Array,
+    level: float,
     push: Float64Array,
     dt: float,
 ) -> bool:
     """Take in one beat; was a fault named by it?
 
     Args:
-        craft: The vehicle.
+        plant: The vehicle.
         memory: Changed.
         commands: (n,) that held for the beat.
         gyro: (3,) rad/s in `base` during it, without bias.
@@ -419,16 +436,17 @@ def beat(
         heard: Was there a sample of the inertial unit?
         rotation: (3, 3) `R_world_base` after it, by the estimate.
         velocity: (3,) m/s over ground in the world, likewise.
+        level: Radians, standard deviation of which way is up.
         push: (6,) what the autopilot has learnt.
         dt: Seconds.
     """
     clock, sums, n = memory.clock, memory.sums, len(memory.force)
-    kept = math.exp(-dt / craft.lag)
+    kept = math.exp(-dt / plant.lag)
     for t in range(n):
-        target = thrust(craft.commands, craft.roots, commands[t])
+        target = thrust(plant.commands, plant.roots, commands[t])
         lacks = target - memory.force[t]
         # The mean of the beat, exactly for a first-order lag.
-        sums[SUMS + t] += target - lacks * (1.0 - kept) * craft.lag / dt
+        sums[SUMS + t] += target - lacks * (1.0 - kept) * plant.lag / dt
         memory.force[t] = target - lacks * kept
     if clock[NAMED] >= 0.0:
         return False
@@ -450,7 +468,7 @@ def beat(
         return False
     named = False
     if not math.isnan(memory.gyro[0]):
-        named = close(craft, memory, gyro, rotation, push, BEATS * dt)
+        named = close(plant, memory, gyro, rotation, level, push, BEATS * dt)
     memory.gyro[:] = gyro
     memory.before[:] = sums[SUMS:] / BEATS
     clock[FILLED] = 0.0
@@ -460,10 +478,11 @@ def beat(
 
 @njit(cache=True, nogil=True)
 def close(
-    craft: Craft,
+    plant: Plant,
     memory: Memory,
     gyro: Float64Array,
     rotation: Float64Array,
+    level: float,
     push: Float64Array,
     seconds: float,
 ) -> bool:
@@ -473,25 +492,30 @@ def close(
     at = int(memory.clock[COUNT]) % BINS
     row = memory.bins[at]
     expected, slope, residual = np.empty(6), np.empty((6, UNKNOWN)), np.empty(6)
-    slopes(craft, memory.mean, rotation, velocity, rates, expected, slope)
+    spread = np.empty(UNKNOWN)
+    for k in range(UNKNOWN):
+        spread[k] = math.sqrt(memory.covariance[k, k])
+    slopes(plant, memory.mean, rotation, velocity, rates, spread, expected, slope)
     p, q, r = rates
     u, v, w = velocity
     turned = (q * w - r * v, r * u - p * w, p * v - q * u)
     for i in range(6):
         if i < 3:
-            rate = sums[PULL + i] - craft.gravity * sums[DOWN + i] - turned[i]
-            inertia = craft.mass + craft.added[i]
+            rate = sums[PULL + i] - plant.gravity * sums[DOWN + i] - turned[i]
+            inertia = plant.mass + plant.added[i]
         else:
             rate = (gyro[i - 3] - memory.gyro[i - 3]) / seconds
-            inertia = craft.moments[i - 3] + craft.added[i]
-        thrusts, variance = 0.0, craft.floor[i] * craft.floor[i]
-        variance += (craft.inertia_error * craft.added[i] * rate) ** 2
+            inertia = plant.moments[i - 3] + plant.added[i]
+        thrusts, variance = 0.0, plant.floor[i] * plant.floor[i]
+        variance += (plant.inertia_error * plant.added[i] * rate) ** 2
+        if i < 2:
+            variance += (plant.weight * level) ** 2
         for t in range(n):
             force = sums[SUMS + t]
-            thrusts += craft.allocation[i, t] * force
-            wrong = (craft.thrust_error * force) ** 2
-            wrong += (craft.lag_error * (force - memory.before[t])) ** 2
-            variance += craft.allocation[i, t] * craft.allocation[i, t] * wrong
+            thrusts += plant.allocation[i, t] * force
+            wrong = (plant.thrust_error * force) ** 2
+            wrong += (plant.lag_error * (force - memory.before[t])) ** 2
+            variance += plant.allocation[i, t] * plant.allocation[i, t] * wrong
         residual[i] = inertia * rate - expected[i] - thrusts
         row[MEASURED + i] = residual[i]
         row[NOISE + i] = math.sqrt(variance)
@@ -502,19 +526,19 @@ def close(
     for t in range(n):
         row[THRUST + t] = sums[SUMS + t]
     for k in range(UNKNOWN):
-        memory.covariance[k, k] += craft.walk[k] * craft.walk[k] * seconds
+        memory.covariance[k, k] += plant.walk[k] * plant.walk[k] * seconds
     memory.means[at] = memory.mean
     memory.covariances[at] = memory.covariance
     memory.pushes[at] = push
     absorb(memory.mean, memory.covariance, residual, row[NOISE : NOISE + 6], slope)
     memory.clock[COUNT] += 1.0
-    return judge(craft, memory)
+    return judge(plant, memory)
 
 
 @njit(cache=True, nogil=True)
 def forget(memory: Memory) -> None:
     """Look back no farther than now: something touched the vehicle that is no thruster."""
     memory.clock[COUNT] = memory.clock[FILLED] = 0.0
-    memory.clock[AGREED] = -1.0
+    memory.clock[LIKELIEST], memory.clock[AGREED] = -1.0, 0.0
     memory.gyro[:] = math.nan
     memory.sums[:] = 0.0

@@ -24,7 +24,7 @@ KINDS = {code: kind for kind, code in CODES.items()}
 
 
 @dataclass(frozen=True, slots=True)
-class Finding:
+class NamedFault:
     """The fault of a thruster, as the autopilot knows it."""
 
     thruster: int
@@ -47,8 +47,8 @@ class Diagnosis:
     model lacks, a wrench of six. A Kalman filter explains that by what is not known of a healthy vehicle:
     how much drag it has, the current, trim and buoyancy, and what accelerometers read wrong. Over windows of
     0.3 to 3 s, the likelihood of each fault of each thruster is set against that of none, both with what
-    is not known estimated along (a generalized likelihood ratio). A fault is named that is certain twice
-    running, is likelier than all others, and leaves nothing unexplained.
+    is not known estimated along (a generalized likelihood ratio). A fault is named that is the likeliest three
+    times running, certain, is likelier than all others, and leaves nothing unexplained.
 
     Reference: Willsky and Jones, *IEEE Trans. Automatic Control* 21 (1976); Basseville and Nikiforov,
     *Detection of Abrupt Changes* (1993), chapter 7.
@@ -72,7 +72,7 @@ class Diagnosis:
     """N, the least that a jammed thruster does: one that does less is taken for dead."""
     certain: float = 25.0
     """Logarithm of the likelihood ratio."""
-    margin: float = 6.0
+    margin: float = 8.0
     """By which it must be above that of all other faults."""
     pace: float = 0.5
     """Share of the autopilot's speeds and accelerations that are left with a fault."""
@@ -84,7 +84,7 @@ class Diagnosis:
                     f"diagnosis.{field.name}: expected a number above 0, got {getattr(self, field.name)}"
                 )
 
-    def craft(self, hull: Hull, thrusters: Thrusters) -> _kernels.Craft:
+    def plant(self, hull: Hull, thrusters: Thrusters) -> _kernels.Plant:
         """A vehicle as the kernels take it.
 
         Args:
@@ -96,8 +96,8 @@ class Diagnosis:
                 f"diagnosis: expected at most {_kernels.MOST_THRUSTERS} thrusters, got {thrusters.count}"
             )
         commands, roots = thrusters.points
-        walk = np.array([0.005, 0.016, 0.016, 0.05, 3e-5, 3e-5, 0.1, 0.1])
-        return _kernels.Craft(
+        walk = np.array([0.01, 0.01, 0.016, 0.016, 0.05, 3e-5, 3e-5, 0.1, 0.1])
+        return _kernels.Plant(
             mass=float(hull.mass),
             moments=np.array(hull.moments, np.float64),
             added=np.array(hull.added, np.float64),
@@ -124,15 +124,15 @@ class Diagnosis:
         """Of a vehicle at rest whose thrusters are off."""
         n, unknown, bins = thrusters.count, _kernels.UNKNOWN, _kernels.BINS
         clock = np.zeros(_kernels.CLOCK)
-        clock[[_kernels.NAMED, _kernels.AGREED]] = -1.0
+        clock[[_kernels.NAMED, _kernels.LIKELIEST]] = -1.0
         return _kernels.Memory(
             clock=clock,
             force=np.zeros(n),
             before=np.zeros(n),
             gyro=np.full(3, math.nan),
             sums=np.zeros(_kernels.SUMS + n),
-            mean=np.array([0.5, 0.0, 0.0, hull.net_buoyancy, *hull.centre_of_buoyancy[:2], 0.0, 0.0]),
-            covariance=np.diag(np.square([0.3, 0.2, 0.2, 3.0, 1e-3, 1e-3, 2.0, 2.0])),
+            mean=np.array([0.5, 0.5, 0.0, 0.0, hull.net_buoyancy, *hull.centre_of_buoyancy[:2], 0.0, 0.0]),
+            covariance=np.diag(np.square([0.3, 0.3, 0.2, 0.2, 3.0, 1e-3, 1e-3, 2.0, 2.0])),
             bins=np.zeros((bins, _kernels.WIDTH)),
             means=np.zeros((bins, unknown)),
             covariances=np.zeros((bins, unknown, unknown)),
@@ -140,7 +140,7 @@ class Diagnosis:
         )
 
 
-def found(memory: _kernels.Memory, time: float) -> Finding | None:
+def found(memory: _kernels.Memory, time: float) -> NamedFault | None:
     """What the kernels have named, if anything.
 
     Args:
@@ -150,7 +150,7 @@ def found(memory: _kernels.Memory, time: float) -> Finding | None:
     thruster, kind, force = memory.clock[[_kernels.NAMED, _kernels.KIND, _kernels.FORCE]]
     if thruster < 0.0:
         return None
-    return Finding(int(thruster) + 1, KINDS[int(kind)], float(force), time)
+    return NamedFault(int(thruster) + 1, KINDS[int(kind)], float(force), time)
 
 
 def learnt_before(memory: _kernels.Memory) -> Float64Array:
@@ -159,13 +159,13 @@ def learnt_before(memory: _kernels.Memory) -> Float64Array:
     return memory.pushes[max(count - _kernels.BINS, 0) % _kernels.BINS].copy()
 
 
-def controllable(thrusters: Thrusters, finding: Finding) -> bool:
+def controllable(thrusters: Thrusters, finding: NamedFault) -> bool:
     """Can the others make every wrench that all of them can?"""
     kept = _kept(thrusters, finding)
     return bool(np.linalg.matrix_rank(kept, 1e-6) == np.linalg.matrix_rank(thrusters.allocation, 1e-6))
 
 
-def failing(nominal: Nominal, hull: Hull, thrusters: Thrusters, finding: Finding) -> Nominal:
+def failing(nominal: Nominal, hull: Hull, thrusters: Thrusters, finding: NamedFault) -> Nominal:
     """The vehicle as the autopilot takes it from the finding on.
 
     A dead thruster is left out of the allocation, and so is a jammed one, whose force the others make up
@@ -196,7 +196,7 @@ def failing(nominal: Nominal, hull: Hull, thrusters: Thrusters, finding: Finding
     )
 
 
-def _kept(thrusters: Thrusters, finding: Finding) -> Float64Array:
+def _kept(thrusters: Thrusters, finding: NamedFault) -> Float64Array:
     """(6, n) the allocation with what the thruster still gives of what it is asked for."""
     kept = thrusters.allocation.copy()
     kept[:, finding.thruster - 1] *= WEAK_SHARE if finding.kind is FaultKind.WEAK else 0.0
