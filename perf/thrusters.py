@@ -4,9 +4,9 @@
     python perf/thrusters.py --vehicle bluerov2 --missions 40
     python perf/thrusters.py --healthy 10                missions without a fault: is one named all the same?
 
-Each mission swims in a world of `dev`, reefs and wrecks, with a current from a direction that is drawn. One of
-its thrusters fails, one kind after the other, at a second that is drawn. Seconds until it is named count from
-when it first gives another force than it was commanded. Nothing is tuned on `test`.
+Each mission swims in a world of `dev`, reefs and wrecks, with a current from a direction that is drawn. One
+of its thrusters fails, one kind after the other, at a second that is drawn. Seconds until it is named count
+from when it first gives another force than it was commanded. Nothing is tuned on `test`.
 """
 
 from __future__ import annotations

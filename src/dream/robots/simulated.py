@@ -143,8 +143,8 @@ class Simulated:
     filter of `estimation` and the autopilot of `control`, in one compiled loop at 100 Hz. What it observes is
     drawn from where it really is, and says where it believes to be. A contact ends the move. At the launch it
     was held still at a pose that it knows as well as the filter's `Start` says, which frees the gyroscopes of
-    their bias and sets the compass. Once the fault of a thruster is named, it goes on with the others, slower,
-    and its observations tell of the trouble; where the others do not do, it surfaces.
+    their bias and sets the compass. Once the fault of a thruster is named, it goes on with the others,
+    slower, and its observations tell of the trouble; where the others do not do, it surfaces.
 
     Assumes: a launch whose pose in the map is known to about a degree and a centimetre.
     Fails when: the estimate is lost, which ends the mission by its name.
@@ -222,7 +222,6 @@ class Simulated:
             do; the vehicle has surfaced, or tried to.
             Diverged: The simulated motion is not: a parameter is wrong.
         """
-        motion = self._motion
         east, north, up = self.estimate.position.tolist()
         gap = math.hypot(setpoint.x - east, setpoint.y - north)
         if setpoint.z is not None:

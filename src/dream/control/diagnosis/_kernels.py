@@ -2,8 +2,8 @@
 
 All take plain numbers, float64 arrays and tuples of those. What is not known of a healthy vehicle is one
 vector of `UNKNOWN` numbers: the share of the model's drag along the axes and about them, the current (2) in
-the world, the net buoyancy, where the centre of buoyancy lies ahead and to the left, and a force (2) ahead and
-to the left that stands for what accelerometers and level read wrong.
+the world, the net buoyancy, where the centre of buoyancy lies ahead and to the left, and a force (2) ahead
+and to the left that stands for what accelerometers and level read wrong.
 """
 
 from __future__ import annotations
@@ -47,8 +47,8 @@ WIDTH = SLOPES + 6 * UNKNOWN
 # What `Memory.clock` holds.
 CLOCK = 7
 FILLED, COUNT, NAMED, KIND, FORCE, LIKELIEST, AGREED = range(CLOCK)
-"""Beats in the open bin, bins that are kept, thruster (−1: none), kind and force of the named one, which fault
-was the likeliest one bin ago, and for how many bins running it has been."""
+"""Beats in the open bin, bins that are kept, thruster (−1: none), kind and force of the named one, which
+fault was the likeliest one bin ago, and for how many bins running it has been."""
 
 # What `Memory.sums` holds of the open bin, before the forces (n).
 SUMS = 12
@@ -278,8 +278,8 @@ def compare(plant: Plant, memory: Memory, out: Float64Array, forces: Float64Arra
     """The likelihood of every fault over that of none, and how well the likeliest fits.
 
     What a fault of thruster i adds to what is measured lies along its column of the allocation: −f where it
-    is dead, −(1 − `WEAK_SHARE`) f where it is weak, J − f where it is jammed and does J: the likeliest that is
-    not too little to be a jammed one's.
+    is dead, −(1 − `WEAK_SHARE`) f where it is weak, J − f where it is jammed and does J: the likeliest that
+    is not too little to be a jammed one's.
     What is not known of the vehicle is the same throughout a window, and known before as well as it was then;
     the likelihoods are those of Gaussians without it (generalized least squares).
 

@@ -47,8 +47,8 @@ class Diagnosis:
     model lacks, a wrench of six. A Kalman filter explains that by what is not known of a healthy vehicle:
     how much drag it has, the current, trim and buoyancy, and what accelerometers read wrong. Over windows of
     0.3 to 3 s, the likelihood of each fault of each thruster is set against that of none, both with what
-    is not known estimated along (a generalized likelihood ratio). A fault is named that is the likeliest three
-    times running, certain, is likelier than all others, and leaves nothing unexplained.
+    is not known estimated along (a generalized likelihood ratio). A fault is named that is certain, clearly
+    likelier than all others, the likeliest three times running, and leaves nothing unexplained.
 
     Reference: Willsky and Jones, *IEEE Trans. Automatic Control* 21 (1976); Basseville and Nikiforov,
     *Detection of Abrupt Changes* (1993), chapter 7.
@@ -156,7 +156,7 @@ def found(memory: _kernels.Memory, time: float) -> NamedFault | None:
 def learnt_before(memory: _kernels.Memory) -> Float64Array:
     """(6,) what the autopilot had learnt of pushes and drag before the windows of the kernels."""
     count = int(memory.clock[_kernels.COUNT])
-    return memory.pushes[max(count - _kernels.BINS, 0) % _kernels.BINS].copy()
+    return np.array(memory.pushes[max(count - _kernels.BINS, 0) % _kernels.BINS])
 
 
 def controllable(thrusters: Thrusters, finding: NamedFault) -> bool:
