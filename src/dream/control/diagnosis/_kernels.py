@@ -89,6 +89,8 @@ class Plant(NamedTuple):
     """Share of a thruster's force that is wrong,"""
     lag_error: float
     """and of what it changes by in a bin."""
+    gust: float
+    """m/s by which the current may change within a window."""
     jam: float
     """N, the least that a jammed thruster does."""
     certain: float
@@ -491,7 +493,8 @@ def close(
     rates, velocity = sums[TURN : TURN + 3], sums[SPEED : SPEED + 3]
     at = int(memory.clock[COUNT]) % BINS
     row = memory.bins[at]
-    expected, slope, residual = np.empty(6), np.empty((6, UNKNOWN)), np.empty(6)
+    expected, slope = np.empty(6), np.empty((6, UNKNOWN))
+    residual, learnt = np.empty(6), np.empty(6)
     spread = np.empty(UNKNOWN)
     for k in range(UNKNOWN):
         spread[k] = math.sqrt(memory.covariance[k, k])
@@ -518,6 +521,9 @@ def close(
             variance += plant.allocation[i, t] * plant.allocation[i, t] * wrong
         residual[i] = inertia * rate - expected[i] - thrusts
         row[MEASURED + i] = residual[i]
+        learnt[i] = math.sqrt(variance)
+        # What a gust changes is learnt, but not at once: a fault is not to be seen in it.
+        variance += plant.gust**2 * (slope[i, EAST] ** 2 + slope[i, NORTH] ** 2)
         row[NOISE + i] = math.sqrt(variance)
         for k in range(UNKNOWN):
             # About no estimate at all, so that it may be taken about any.
@@ -530,7 +536,7 @@ def close(
     memory.means[at] = memory.mean
     memory.covariances[at] = memory.covariance
     memory.pushes[at] = push
-    absorb(memory.mean, memory.covariance, residual, row[NOISE : NOISE + 6], slope)
+    absorb(memory.mean, memory.covariance, residual, learnt, slope)
     memory.clock[COUNT] += 1.0
     return judge(plant, memory)
 

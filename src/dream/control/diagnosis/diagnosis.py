@@ -68,9 +68,11 @@ class Diagnosis:
     """Share of a thruster's force."""
     lag_error: float = 0.2
     """Share of what a thruster's force changes by in a tenth of a second."""
+    gust: float = 0.05
+    """m/s by which the current may change within some seconds."""
     jam: float = 6.0
     """N, the least that a jammed thruster does: one that does less is taken for dead."""
-    certain: float = 25.0
+    certain: float = 30.0
     """Logarithm of the likelihood ratio."""
     margin: float = 8.0
     """By which it must be above that of all other faults."""
@@ -115,6 +117,7 @@ class Diagnosis:
             inertia_error=float(self.inertia_error),
             thrust_error=float(self.thrust_error),
             lag_error=float(self.lag_error),
+            gust=float(self.gust),
             jam=float(self.jam),
             certain=float(self.certain),
             margin=float(self.margin),
