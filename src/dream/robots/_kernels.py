@@ -360,7 +360,8 @@ def fly(
             voyage.commands,
             sample[:3] - s.gyro_bias,
             sample[3:6] - s.accelerometer_bias,
-            clock[LAST_IMU] == now,
+            # Without the bottom its velocity drifts, and all that is reckoned from that.
+            clock[LAST_IMU] == now and condition == control.FINE,
             s.rotation,
             s.velocity,
             math.sqrt(s.covariance[0, 0] + s.covariance[1, 1]),

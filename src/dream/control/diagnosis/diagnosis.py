@@ -16,7 +16,7 @@ from dream.vehicle.faults import CODES
 
 Float64Array = npt.NDArray[np.float64]
 
-LEVEL_FIRST = 100.0
+LEVEL_FIRST = 1e4
 """How much more a newton metre counts than a newton where a jammed thruster cannot be made up for wholly."""
 LEAN = math.radians(15.0)
 """By which a vehicle may lean that no thruster rights, on its way up."""
@@ -53,7 +53,8 @@ class Diagnosis:
     Reference: Willsky and Jones, *IEEE Trans. Automatic Control* 21 (1976); Basseville and Nikiforov,
     *Detection of Abrupt Changes* (1993), chapter 7.
 
-    Assumes: the allocation, the curve and the lag of the thrusters, within the errors below.
+    Assumes: the allocation, the curve and the lag of the thrusters, within the errors below; a velocity over
+    ground: what moves without one is not judged.
     Fails when: a thruster gives too little to be missed; two fail at once; something else pushes along the
     column of a thruster just as it is commanded.
     """
