@@ -398,9 +398,10 @@ def test_where_it_may_err_is_a_margin(reef: World, sigma: float) -> None:
     first, last = steps[0].observation, steps[-1].observation
     margins = []
     for err in (0.0, sigma):
-        homeward = Homeward.of(Budget(500.0), first, 200, ticking=False)
+        homeward = Homeward.of(Budget(500.0), first, 200, steps[-1].occupancy, ticking=False)
         move, arrival = Decision(advance=1.0), replace(steps[-1].arrival, sigma=err)
-        homeward.learn(move, replace(first, time=0.0), arrival, replace(first, time=nominal_seconds(move)))
+        before, after = replace(first, time=0.0), replace(first, time=nominal_seconds(move))
+        homeward.learn(move, before, arrival, after, steps[-1].occupancy)
         home = homeward.stands(last, steps[-1].occupancy, 12)
         margins.append(next(one.margin for one in home.balances if one.name == "time"))
     # Three times as far as it may err, at 0.5 m/s; all was learnt from a move at just that speed.

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -229,7 +230,7 @@ def _scan(path: Path, upright: bool = False) -> Mesh:
     """A file of triangles; y is up in it unless it is upright."""
     import trimesh
 
-    found = trimesh.load(path, process=False)
+    found: Any = trimesh.load(path, process=False)
     points, faces = np.asarray(found.vertices, np.float64), np.asarray(found.faces, np.int32)
     return Mesh(points if upright else points[:, [0, 2, 1]] * np.array([1.0, -1.0, 1.0]), faces)
 

@@ -40,9 +40,9 @@ class MissionPlan:
     """Tell what an area will take, from simulated missions in worlds of that size: time, way, battery and
     coverage, each with its spread. Leaves a page with pictures, and plan.json.
 
-    Every mission goes home in the end. With --budget-s, --battery-wh or --tether-m the same worlds are flown once
-    more by vehicles that have no more, and what they saw by then is told. After an interruption the same
-    command goes on; with more --missions it keeps those that are flown.
+    Every mission goes home in the end. With --budget-s, --battery-wh or --tether-m the same worlds are flown
+    once more by vehicles that have no more, and what they saw by then is told. After an interruption the
+    same command goes on; with more --missions it keeps those that are flown.
 
     Examples:
         dream plan --area 40x30

@@ -161,11 +161,11 @@ class Homeward:
                 back = move_to(self._came[-2], seen.pose, seen.z, occupancy.protocol)
             if back is not None:
                 self._going_back = back.advance > 0.0 or back.climb != 0.0
-                told = Reasoning(action=f"No way home is known: going back as it came, since {self.why}.")
-                return replace(back, reasoning=told)
+                told = f"No way home is known: going back as it came, since {self.why}."
+                return replace(back, reasoning=Reasoning(action=told))
             self._looks = max(self._looks - 1, 0)
-            looks = "No way home is known: looking around for one."
-            return Decision(turn=0.5 * math.pi, reasoning=Reasoning(action=looks))
+            told = "No way home is known: looking around for one."
+            return Decision(turn=0.5 * math.pi, reasoning=Reasoning(action=told))
         if self.why:
             told = f"Going home, {len(way)} steps away: {self.why}."
         else:

@@ -717,9 +717,9 @@ def _clear_brick(
             for line in range(quarter * quarter):
                 start = first + (line // quarter << 2 * BITS) + (line % quarter << BITS)
                 for number in range(start, start + quarter):
-                    odds_now = np.int64(log_odds[slot, number])
-                    if odds_now != FELT:
-                        odds_now = max(odds_now - rule.miss, rule.least)
+                    odds_now = max(np.int64(log_odds[slot, number]) - rule.miss, rule.least)
+                    if log_odds[slot, number] == FELT:
+                        odds_now = FELT
                     log_odds[slot, number] = odds_now
                     greatest = max(greatest, odds_now)
             if greatest <= rule.least:
