@@ -123,6 +123,12 @@ def test_a_budget_is_read_as_it_was_written(budget: Budget) -> None:
     assert read_budget(json.loads(json.dumps(budget.as_dict()))) == budget
 
 
+def test_a_budget_that_says_nothing_of_a_tether_has_none() -> None:
+    told = Budget(90.0).as_dict()
+    del told["tether_m"]
+    assert read_budget(told) == Budget(90.0)
+
+
 @pytest.mark.parametrize(
     "told",
     [

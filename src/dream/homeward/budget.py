@@ -114,6 +114,8 @@ def read_budget(told: Mapping[str, Any]) -> Budget:
         ValueError: Something in it is no number, or none that a budget may have.
     """
     try:
+        # A file that says nothing of a tether is of a mission without one.
+        told = {"tether_m": None, **told}
         limits = {name: math.inf if told[name] is None else float(told[name]) for name in LIMITS}
         home = None if told["home"] is None else tuple(map(float, told["home"]))
     except (KeyError, TypeError, ValueError) as error:
