@@ -175,5 +175,7 @@ def _without_limits(budget: Budget | None) -> Budget:
 
 def _named(budget: Budget) -> str:
     """A folder for what is flown with a budget."""
-    limits = {"s": budget.seconds, "Wh": budget.battery_wh, "m": budget.tether_m}
+    from dream.homeward.budget import LIMITS
+
+    limits = {unit: getattr(budget, name) for name, (_, unit) in LIMITS.items()}
     return "-".join(["within", *(f"{most:g}{unit}" for unit, most in limits.items() if math.isfinite(most))])

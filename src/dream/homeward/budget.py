@@ -15,8 +15,12 @@ from dream.vehicle import HOTEL_W
 
 SLACK = 0.05
 """Share of a tether that is kept back, since it is never quite taut."""
-LIMITS = ("seconds", "battery_wh", "tether_m")
-"""What a budget may limit."""
+LIMITS = {
+    "seconds": ("--budget-s", "s"),
+    "battery_wh": ("--battery-wh", "Wh"),
+    "tether_m": ("--tether-m", "m"),
+}
+"""What a budget may limit: the option that says so, and the unit."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +38,7 @@ class Budget:
     """x and y, metres in the world; where it begins unless given."""
 
     def __post_init__(self) -> None:
-        for name, unit in (("seconds", "s"), ("battery_wh", "Wh"), ("tether_m", "m")):
+        for name, (_, unit) in LIMITS.items():
             if not getattr(self, name) > 0.0:
                 raise ValueError(f"budget: expected more than 0 {unit}, got {getattr(self, name)}")
         if self.home is not None and not all(map(math.isfinite, self.home)):
@@ -50,11 +54,8 @@ class Budget:
     def options(self) -> list[str]:
         """The words of a command line that say so."""
         words = ["--return", "start" if self.home is None else f"{self.home[0]:g},{self.home[1]:g}"]
-        for option, most in (
-            ("--budget-s", self.seconds),
-            ("--battery-wh", self.battery_wh),
-            ("--tether-m", self.tether_m),
-        ):
+        for name, (option, _) in LIMITS.items():
+            most = getattr(self, name)
             words += [option, f"{most:g}"] if math.isfinite(most) else []
         return words
 
