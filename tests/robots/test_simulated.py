@@ -283,7 +283,6 @@ def test_a_vehicle_that_is_blind_and_lost_goes_on_where_the_dvl_comes_back(empty
     [
         (Outage("imu", 3.0), "stale"),
         (Outage("imu", 3.0, 0.5), "stale"),
-        (Outage("depth", 3.0), "stale"),
         (Outage("dvl", 3.0), "diverged"),
     ],
 )

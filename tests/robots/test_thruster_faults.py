@@ -90,6 +90,7 @@ def test_a_mission_with_a_fault_comes_home_and_says_why(told: str, empty_world: 
     assert last.ended == "returned"
     assert last.home is not None
     fault = read_fault(told)
+    assert isinstance(fault, ThrusterFault)
     assert last.home.why == f"thruster {fault.thruster} {fault.kind.told}"
     assert any(last.home.why in step.arrival.note for step in steps)
     assert last.observation.pose.distance(first.observation.pose) < 0.2
@@ -127,7 +128,7 @@ def test_a_fault_is_read_as_it_is_told_and_written_down() -> None:
 @pytest.mark.parametrize(
     ("told", "said"),
     [
-        ("dead", "expected dead|weak|jammed, the thruster's number and when"),
+        ("dead", "expected dead|weak|jammed and the thruster's number, or sag|lamp|gauge|camera, and when"),
         ("broken:3@40", "expected dead|weak|jammed"),
         ("dead:x@40", "expected dead|weak|jammed"),
         ("dead:3@soon", "expected dead|weak|jammed"),

@@ -28,8 +28,9 @@ class Swim:
     """Share of the time in which the DVL does not see the bottom, 0 to 1; each time lasts 3 s."""
     anchoring: bool = True
     """Do not correct the position by ground that is seen again."""
-    fault: Annotated[str | None, tyro.conf.arg(metavar="KIND:NUMBER@SECONDS")] = None
-    """A thruster that fails: dead, weak or jammed, its number from 1 on, and when, as in dead:3@40."""
+    fault: Annotated[str | None, tyro.conf.arg(metavar="WHAT@SECONDS")] = None
+    """What fails, and when: a thruster as in dead:3@40, weak:1@40 or jammed:2@40, or the battery, lamp, depth
+    sensor or camera as in sag@40, lamp@40, gauge@40 or camera@40."""
 
     def chosen(self, protocol: SurveyProtocol) -> Swimming | None:
         """None under a protocol by which nothing swims; a ValueError where something was chosen for it."""

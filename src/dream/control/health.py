@@ -32,7 +32,7 @@ class Condition(enum.IntEnum):
     DIVERGED = _kernels.DIVERGED
     """The filter itself says that it does not know, or what it says is not finite."""
     STALE = _kernels.STALE
-    """No inertial samples, or no depth: nothing that could be flown by."""
+    """No inertial samples, or nothing that tells heights: nothing that could be flown by."""
 
     @property
     def reaction(self) -> Reaction:
@@ -55,7 +55,7 @@ class Watch:
     """When sensors are too old and an estimate too vague. Nothing is let pass without a name."""
 
     stale: float = 0.2
-    """Seconds without an inertial sample; ten times as long without a depth."""
+    """Seconds without an inertial sample; ten times as long without anything that tells heights."""
     blind: float = 1.0
     """Seconds without a velocity of the DVL after which it goes slowly; one comes at least twice a second."""
     lost: float = 10.0
@@ -88,7 +88,7 @@ class Watch:
 
         Args:
             imu_age: Seconds since the last inertial sample.
-            depth_age: Seconds since the last depth.
+            depth_age: Seconds since the last depth, or since what tells heights in its place.
             dvl_age: Seconds since the last velocity with bottom lock.
             velocity_sigma: m/s, by the filter.
             position_sigma: Metres, by the filter.

@@ -16,7 +16,9 @@ from dream.estimation._kernels.sensors import Parameters as Instruments
 from dream.sim import _kernels as world
 from dream.sim.sensors import _kernels as sensors
 from dream.sim.vehicle import _kernels as water
-from dream.vehicle._kernels import PackedFault, obeyed, thrust, watts
+from dream.vehicle._kernels import SAG_OHM, PackedFault, obeyed, thrust, watts
+from dream.vehicle.power import AMPERES_POWER
+from dream.vehicle.thrusters import TABLE_VOLTAGE, VOLTAGE_POWER
 
 Float64Array = npt.NDArray[np.float64]
 
@@ -39,12 +41,25 @@ SHALLOW = 0.3
 CHECKED = 10
 """Beats between two looks at how sure the filter is."""
 
+SETTLES = 0.05
+"""Seconds in which the voltage follows the load: what speed controllers hold in their capacitors."""
+SAG_TIME = 3.0
+"""Seconds over which the voltage is smoothed: a burst of thrust is no sag."""
+STUCK_READINGS, STUCK_RISE = 2, 0.06
+"""A gauge is stuck that reads the same so often on end, to the bit, while the estimate rises or sinks by so
+many metres: what a reading errs by is a tenth of that."""
+STUCK_STILL = 15
+"""Readings on end that are the same by which a gauge is stuck, whatever moves: one in five is by chance."""
+
 # What `Voyage.clock` holds.
-CLOCK = 15
+CLOCK = 22
 TIME, NEXT_PING, ARRIVES, SENT, ABOVE, LAST_DVL, LAST_DEPTH, LAST_IMU = range(8)
-SEABED, DISTANCE, WAY, CLEARANCE, CONDITION, DRAWN, FAILED = range(8, CLOCK)
+SEABED, DISTANCE, WAY, CLEARANCE, CONDITION, DRAWN, FAILED = range(8, 15)
+VOLTS, MEAN_VOLTS, SAGGED, READING, ALIKE, RISEN, STUCK = range(15, CLOCK)
 """`DISTANCE` is over ground, `WAY` through the water, heights counted; `DRAWN` is in joules, and `FAILED` is
-when a thruster first gave another force than it was commanded."""
+when a thruster first gave another force than it was commanded. `VOLTS` are the battery's, and `MEAN_VOLTS`
+smoothed; `SAGGED` is when those first were low. `READING` is the gauge's last, `ALIKE` counts those before it
+that were the same, `RISEN` is by how many metres the estimate rose since; `STUCK` is when that was found."""
 
 
 class Ship(NamedTuple):
@@ -53,6 +68,10 @@ class Ship(NamedTuple):
     body: water.Body
     fault: PackedFault
     """Of a thruster, of which the autopilot is not told."""
+    sags_at: float
+    """Seconds at which the battery begins to sag, and"""
+    sticks_at: float
+    """those at which the gauge sticks; infinite where they never do."""
     flow: water.Flow
     solids: world.Index
     radius: float
@@ -78,6 +97,8 @@ class Ship(NamedTuple):
     nominal: control.Nominal
     plant: diagnosis.Plant
     limits: control.Limits
+    low_volts: float
+    """Of the battery, smoothed, below which it sags."""
     watt_commands: Float64Array
     """Commands at the points of what a thruster draws,"""
     watt_roots: Float64Array
@@ -145,6 +166,37 @@ def position_sigma(s: inekf.State) -> float:
 
 
 @njit(cache=True, nogil=True)
+def sag(ship: Ship, clock: Float64Array, drawn: float) -> float:
+    """A beat of a battery that sags: its voltage by the load, and thrust by the voltage.
+
+    The autopilot hears of the voltage by the battery's monitor, and asks its thrusters for the more.
+
+    Args:
+        ship: Its curves of thrust are changed, true and believed.
+        clock: Changed.
+        drawn: W of the thrusters at the table's voltage.
+
+    Returns:
+        W that they and all else draw at this voltage.
+    """
+    drawn = ship.hotel + drawn * (clock[VOLTS] / TABLE_VOLTAGE) ** (1.0 + AMPERES_POWER)
+    amperes = drawn / clock[VOLTS]
+    before = clock[VOLTS]
+    clock[VOLTS] += ship.dt / SETTLES * (max(TABLE_VOLTAGE - SAG_OHM * amperes, 1.0) - clock[VOLTS])
+    clock[MEAN_VOLTS] += ship.dt / SAG_TIME * (clock[VOLTS] - clock[MEAN_VOLTS])
+    if clock[MEAN_VOLTS] < ship.low_volts:
+        clock[SAGGED] = min(clock[SAGGED], clock[TIME])
+    factor = (clock[VOLTS] / before) ** (0.5 * VOLTAGE_POWER)
+    for k in range(len(ship.body.roots)):
+        ship.body.roots[k] *= factor
+    for k in range(len(ship.nominal.roots)):
+        ship.nominal.roots[k] *= factor
+    for k in range(len(ship.plant.roots)):
+        ship.plant.roots[k] *= factor
+    return drawn
+
+
+@njit(cache=True, nogil=True)
 def swim(ship: Ship, voyage: Voyage, before: Float64Array, rng: np.random.Generator) -> bool:
     """A beat of water and contact, from the state that is copied to `before`; False where it is none."""
     clock, x, none = voyage.clock, voyage.x, np.zeros(3)
@@ -165,6 +217,8 @@ def swim(ship: Ship, voyage: Voyage, before: Float64Array, rng: np.random.Genera
     drawn = ship.hotel
     for u in commands:
         drawn += watts(ship.watt_commands, ship.watt_roots, u)
+    if clock[TIME] >= ship.sags_at:
+        drawn = sag(ship, clock, drawn - ship.hotel)
     clock[DRAWN] += drawn * ship.dt
     over_ground = math.hypot(x[0] - before[0], x[1] - before[1])
     clock[DISTANCE] += over_ground
@@ -186,9 +240,17 @@ def feel(ship: Ship, voyage: Voyage, before: Float64Array, rng: np.random.Genera
     sample[6] = sample[7] = math.nan
     if count % ship.depth_every == 0:
         z = sensors.pressure(ship.gauge, x, ship.depth_every * ship.dt, voyage.gauge_error, rng)
+        if now >= ship.sticks_at and not math.isnan(clock[READING]):
+            z = clock[READING]
         if not sensors.silent(ship.outages, sensors.DEPTH, now):
-            sample[6] = z
-            clock[LAST_DEPTH] = now
+            if z == clock[READING]:
+                clock[ALIKE] += 1.0
+            else:
+                clock[ALIKE] = clock[RISEN] = 0.0
+            clock[READING] = z
+            if clock[STUCK] > now:
+                sample[6] = z
+                clock[LAST_DEPTH] = now
     if count % ship.heading_every == 0:
         yaw = sensors.heading(ship.magnetic, x, ship.heading_every * ship.dt, voyage.compass_error, rng)
         if not sensors.silent(ship.outages, sensors.COMPASS, now):
@@ -278,7 +340,8 @@ def fly(
             condition = control.condition(
                 ship.limits,
                 now - clock[LAST_IMU],
-                now - clock[LAST_DEPTH],
+                # The DVL tells how fast it rises, too: without the gauge, heights drift as positions do.
+                now - max(clock[LAST_DEPTH], clock[LAST_DVL]),
                 now - clock[LAST_DVL],
                 velocity_sigma(s),
                 position_sigma(s),
@@ -332,6 +395,9 @@ def fly(
             period = 1.0 / sensors.ping_rate(ship.ping_tops, ship.ping_rates, clock[ABOVE])
             clock[SEABED] += min(period / SEABED_TIME, 1.0) * (seabed - clock[SEABED])
         s = carried(ship, s, sample)
+        clock[RISEN] += ship.dt * s.velocity[2]
+        if clock[ALIKE] >= STUCK_STILL or (clock[ALIKE] >= STUCK_READINGS and abs(clock[RISEN]) > STUCK_RISE):
+            clock[STUCK] = min(clock[STUCK], now)
         if sent >= 0:
             if sent < MOST_BEATS:
                 voyage.since[sent] = sample

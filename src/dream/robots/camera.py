@@ -80,7 +80,14 @@ class SimulatedCamera:
         return np.where(self._world.hull, Label.OBSTACLE, Label.SEABED).astype(np.uint8)
 
     def observe(
-        self, time: float, moves: int, truth: SE3, believed: SE3, tilt: float, drawn_wh: float
+        self,
+        time: float,
+        moves: int,
+        truth: SE3,
+        believed: SE3,
+        tilt: float,
+        drawn_wh: float,
+        light: float = 1.0,
     ) -> Observation:
         """One frame.
 
@@ -93,10 +100,11 @@ class SimulatedCamera:
             tilt: Pitch of the camera, radians, positive downwards, that it is drawn with. The observation's
                 is off from it by the mission's error of tilt.
             drawn_wh: Watt-hours that the robot has drawn so far.
+            light: Share of the light that is left in its colours.
         """
         T_world_camera = truth @ camera_mount(tilt)
         if self._protocol.seen is not None:
-            seen = self._seen(time, moves, truth, believed, tilt, self._protocol.seen)
+            seen = self._seen(time, moves, truth, believed, tilt, self._protocol.seen, light)
             return replace(seen, drawn_wh=drawn_wh)
         frame = self._frame(T_world_camera, moves)
         rgb = frame.rgb
@@ -105,7 +113,7 @@ class SimulatedCamera:
             rgb = self._renderer.render(fine, T_world_camera).rgb
         return Observation(
             time=time,
-            rgb=rgb,
+            rgb=_lit(rgb, light),
             depth=frame.depth,
             labels=frame.labels,
             camera=self._protocol.camera,
@@ -115,13 +123,20 @@ class SimulatedCamera:
         )
 
     def _seen(
-        self, time: float, moves: int, truth: SE3, believed: SE3, tilt: float, grain: Grain
+        self,
+        time: float,
+        moves: int,
+        truth: SE3,
+        believed: SE3,
+        tilt: float,
+        grain: Grain,
+        light: float,
     ) -> Observation:
         """One frame by sight: colours as the camera gives them, and what is made of them."""
         camera = self._protocol.camera
         fine = camera.scaled(self._fineness) if self._fineness > 1 else camera
         drawn = self._renderer.render(fine, truth @ camera_mount(tilt)).rgb
-        rgb = grainy(drawn, grain, noise_generator(self._world, self._start, moves))
+        rgb = grainy(_lit(drawn, light), grain, noise_generator(self._world, self._start, moves))
         T_world_base, mount = _raised(believed, self.errors.height), camera_mount(tilt + self.errors.tilt)
         ranges = Sounder(self._renderer).ranges(truth)
         above = altitude(ranges) if np.isfinite(ranges).any() else self._protocol.altitude
@@ -155,6 +170,11 @@ class SimulatedCamera:
         if self.errors.depth != 0.0:
             frame = replace(frame, depth=frame.depth * np.float32(1.0 + self.errors.depth))
         return frame
+
+
+def _lit(rgb: UInt8Array, light: float) -> UInt8Array:
+    """Colours with a share of their light; the very same where that is 1."""
+    return rgb if light == 1.0 else np.rint(rgb * light).astype(np.uint8)
 
 
 def _raised(T_world_base: SE3, by: float) -> SE3:

@@ -15,6 +15,7 @@ from dream.control.health import Condition, Watch
 from dream.errors import MissionAborted
 from dream.estimation import InEkf, InEkfState, InertialErrors, Mounting, Start
 from dream.geometry import SE2, SE3, wrap_angle
+from dream.perception.lighting import Lighting
 from dream.protocol import SurveyProtocol
 from dream.robots import _kernels
 from dream.robots.camera import SimulatedCamera
@@ -39,8 +40,9 @@ from dream.sim.solids import Solids
 from dream.sim.vehicle import BLUEROV2_HEAVY, Current, Diverged, Spread, State, Vehicle
 from dream.sim.world import World
 from dream.types import Arrival, Observation, Setpoint
-from dream.vehicle import GRAVITY, HOTEL_W, ThrusterFault, watt_points
+from dream.vehicle import GRAVITY, HOTEL_W, Fault, PartFault, ThrusterFault, VehiclePart, light, watt_points
 from dream.vehicle._kernels import NO_FAULT
+from dream.vehicle.thrusters import TABLE_VOLTAGE
 
 BEAT = 0.01
 """Seconds of water, inertial unit, estimate and autopilot."""
@@ -83,8 +85,11 @@ class Motion:
     """When its sensors are silent."""
     dvl_bursts: Bursts = field(default_factory=Bursts)
     """When its DVL loses the bottom, for no reason that is seen."""
-    fault: ThrusterFault | None = None
-    """Of one of its thrusters, of which the autopilot is not told."""
+    fault: Fault | None = None
+    """Of one of its thrusters or parts, of which the autopilot is not told."""
+    low_volts: float = 14.4
+    """Of its battery, under load and smoothed over 3 s, below which it sags: four cells of 3.6 V, where a
+    lithium cell has a tenth of its charge."""
     near: float = 0.05
     """Metres from a setpoint, by the estimate, that count as there."""
     aligned: float = math.radians(2.0)
@@ -99,14 +104,22 @@ class Motion:
         for name in ("near", "aligned", "slow"):
             if not 0.0 < getattr(self, name) < math.inf:
                 raise ValueError(f"{name}: expected a tolerance above 0, got {getattr(self, name)}")
+        if not 0.0 < self.low_volts < TABLE_VOLTAGE:
+            raise ValueError(f"low_volts: expected 0 to {TABLE_VOLTAGE:g} V, got {self.low_volts}")
         for name, rate in (("gauge", self.gauge.rate), ("compass", self.compass.rate)):
             every = 1.0 / (rate * BEAT)
             if every < 1.0 - 1e-9 or abs(every - round(every)) > 1e-6:
                 raise ValueError(f"{name}.rate: expected a part of {1.0 / BEAT:g} Hz, got {rate:g}")
-        if self.fault is not None:
+        if isinstance(self.fault, ThrusterFault):
             self.fault.check_fits(self.vehicle.thrusters.count)
         if abs(self.imu.rate * BEAT - 1.0) > 1e-9:
             raise ValueError(f"imu.rate: expected {1.0 / BEAT:g} Hz, as the loop, got {self.imu.rate:g}")
+
+    def fails_at(self, part: VehiclePart) -> float:
+        """Seconds of the mission at which a part fails; infinite where it does not."""
+        if isinstance(self.fault, PartFault) and self.fault.part is part:
+            return self.fault.at_s
+        return math.inf
 
     @property
     def helmsman(self) -> Autopilot:
@@ -187,8 +200,11 @@ class Simulated:
         self._tilt = protocol.camera_pitch
         self._depth = -float(T_world_base.translation[2])
         self._moves = 0
+        self._lighting = Lighting()
         self.finding: NamedFault | None = None
         """The fault of a thruster, once it is named."""
+        self.ailing: dict[VehiclePart, str] = {}
+        """What is wrong with battery and depth sensor, once it is named, in words."""
         self._ship, self._voyage = _launched(
             motion, protocol, solids or Solids(world), T_world_base, seabed, self._rng
         )
@@ -201,15 +217,18 @@ class Simulated:
 
     def observe(self) -> Observation:
         """One frame from where it really is, with the pose that it believes in; the same until it moves."""
+        now = float(self._voyage.clock[_kernels.TIME])
         seen = self._camera.observe(
-            float(self._voyage.clock[_kernels.TIME]),
+            now,
             self._moves,
             self.truth,
             self.estimate.pose,
             self._tilt,
             float(self._voyage.clock[_kernels.DRAWN]) / JOULES,
+            light(self._motion.fault, now),
         )
-        return seen if self.finding is None else replace(seen, trouble=str(self.finding))
+        seen = self._lighting.seen(seen)
+        return replace(seen, trouble="; ".join([*self._troubles, *filter(None, [self._lighting.trouble])]))
 
     def go_to(self, setpoint: Setpoint) -> Arrival:
         """Swim there; at contact, stop. The camera tilts on the way.
@@ -228,7 +247,7 @@ class Simulated:
             # Where it is sent is a height as its observations tell it.
             setpoint = replace(setpoint, z=setpoint.z - self._camera.errors.height)
             gap = math.hypot(gap, setpoint.z - up)
-        clock, before = self._voyage.clock, self.finding
+        clock, before = self._voyage.clock, self._troubles
         clock[[_kernels.DISTANCE, _kernels.WAY, _kernels.CONDITION]] = 0.0
         clock[_kernels.CLEARANCE] = math.inf
         how = self._fly(setpoint, self._seconds(gap))
@@ -249,7 +268,9 @@ class Simulated:
             collided=collided,
             distance=float(clock[_kernels.DISTANCE if setpoint.z is None else _kernels.WAY]),
             clearance=float(clock[_kernels.CLEARANCE]),
-            note=_note(condition, self.finding if before is None else None, late=how == _kernels.LATE),
+            note=_note(
+                condition, [one for one in self._troubles if one not in before], late=how == _kernels.LATE
+            ),
             sigma=float(_kernels.position_sigma(self._state)),
             truth=self.truth,
             contact=(x, y, z + self._camera.errors.height) if collided else None,
@@ -264,6 +285,11 @@ class Simulated:
     def estimate(self) -> InEkfState:
         """What it knows of its motion."""
         return InEkfState(*self._state)
+
+    @property
+    def _troubles(self) -> list[str]:
+        """What is wrong with thrusters, battery and depth sensor."""
+        return [*([] if self.finding is None else [str(self.finding)]), *self.ailing.values()]
 
     def _seconds(self, gap: float) -> float:
         """That a move over so many metres may take."""
@@ -326,21 +352,32 @@ class Simulated:
             )
             # What the vehicle touches pushes it, too.
             forget(self._voyage.diagnosis)
+        self._look_over()
         if self.finding is None:
             named = found(self._voyage.diagnosis, float(self._voyage.clock[_kernels.TIME]))
             if named is not None:
                 self._adapt(named)
         return int(how)
 
+    def _look_over(self) -> None:
+        """Name what the loop has found wrong with battery and depth sensor."""
+        clock, stale = self._voyage.clock, 10.0 * self._motion.watch.stale
+        if math.isfinite(clock[_kernels.SAGGED]):
+            volts = min(float(clock[_kernels.MEAN_VOLTS]), self._motion.low_volts)
+            self.ailing.setdefault(VehiclePart.SAG, f"the battery sags to {volts:.1f} V")
+        if math.isfinite(clock[_kernels.STUCK]):
+            self.ailing.setdefault(VehiclePart.GAUGE, "the depth sensor is stuck")
+        elif clock[_kernels.TIME] - clock[_kernels.LAST_DEPTH] > stale:
+            self.ailing.setdefault(VehiclePart.GAUGE, "the depth sensor is silent")
 
-def _note(condition: Condition, finding: NamedFault | None, *, late: bool) -> str:
+
+def _note(condition: Condition, named: list[str], *, late: bool) -> str:
     told = {
         Condition.BLIND: "no bottom track for a while: it went slowly",
         Condition.LOST: "no bottom track for long: it held",
     }
     parts = [told[condition]] if condition in told else []
-    if finding is not None:
-        parts.append(str(finding))
+    parts += named
     if late:
         parts.append("the move took too long and was broken off")
     return "; ".join(parts)
@@ -370,7 +407,9 @@ def _launched(
     watt_commands, watt_roots = watt_points(truth.thrusters.voltage)
     ship = _kernels.Ship(
         body=truth.body,
-        fault=NO_FAULT if motion.fault is None else motion.fault.packed,
+        fault=motion.fault.packed if isinstance(motion.fault, ThrusterFault) else NO_FAULT,
+        sags_at=motion.fails_at(VehiclePart.SAG),
+        sticks_at=motion.fails_at(VehiclePart.GAUGE),
         flow=current.flow,
         solids=solids.index,
         radius=protocol.body_radius,
@@ -392,6 +431,7 @@ def _launched(
         nominal=nominal(motion.vehicle.slowest, motion.vehicle.thrusters),
         plant=motion.diagnosis.plant(motion.vehicle.slowest, motion.vehicle.thrusters),
         limits=motion.watch.limits,
+        low_volts=float(motion.low_volts),
         watt_commands=watt_commands,
         watt_roots=watt_roots,
         hotel=HOTEL_W,
@@ -400,7 +440,10 @@ def _launched(
         heading_every=round(1.0 / (motion.compass.rate * BEAT)),
     )
     clock = np.zeros(_kernels.CLOCK)
-    clock[_kernels.SENT], clock[_kernels.SEABED], clock[_kernels.FAILED] = -1.0, seabed, math.inf
+    clock[_kernels.SENT], clock[_kernels.SEABED] = -1.0, seabed
+    clock[[_kernels.FAILED, _kernels.SAGGED, _kernels.STUCK]] = math.inf
+    clock[[_kernels.VOLTS, _kernels.MEAN_VOLTS]] = TABLE_VOLTAGE
+    clock[_kernels.READING] = math.nan
     voyage = _kernels.Voyage(
         x=x.vector,
         contact=np.zeros(3),

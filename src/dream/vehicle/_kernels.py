@@ -17,6 +17,8 @@ WEAK_SHARE = 0.3
 """Of its force, that a weak thruster gives."""
 JAMMED_COMMAND = 0.5
 """That a jammed thruster runs at."""
+SAG_OHM = 0.5
+"""Of a battery that sags. Assumption: a contact that corrodes; a sound one of this size has a twentieth."""
 
 
 class PackedFault(NamedTuple):

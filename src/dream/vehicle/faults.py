@@ -1,4 +1,4 @@
-"""A thruster that fails: which one, how, and when."""
+"""What fails on a vehicle: a thruster or another part, how, and when."""
 
 from __future__ import annotations
 
@@ -51,8 +51,7 @@ class ThrusterFault:
     def __post_init__(self) -> None:
         if self.thruster < 1:
             raise ValueError(f"fault.thruster: expected a number from 1 on, got {self.thruster}")
-        if not 0.0 <= self.at_s < math.inf:
-            raise ValueError(f"fault.at_s: expected 0 s or more, got {self.at_s}")
+        _check_time(self.at_s)
 
     def check_fits(self, count: int) -> None:
         """Raise a ValueError where a vehicle of so many thrusters has not got it."""
@@ -67,20 +66,66 @@ class ThrusterFault:
         return _kernels.PackedFault(self.thruster - 1, self.kind.code, float(self.at_s))
 
 
-def read_fault(told: str) -> ThrusterFault:
-    """The fault that `KIND:NUMBER@SECONDS` names, such as `dead:3@40`.
+class VehiclePart(enum.StrEnum):
+    """What fails beside thrusters."""
+
+    SAG = "sag"
+    """The battery: a contact or a cell of `_kernels.SAG_OHM`, at which its voltage falls under load."""
+    LAMP = "lamp"
+    """The lamp goes out: a share of `LAMP_LEFT` of the light is left."""
+    GAUGE = "gauge"
+    """The depth sensor repeats what it said last."""
+    CAMERA = "camera"
+    """Its pictures are black."""
+
+
+LAMP_LEFT = 0.08
+"""Of the light, by day, without a lamp. Assumption."""
+
+
+@dataclass(frozen=True, slots=True)
+class PartFault:
+    """The fault of another part, from a time on."""
+
+    part: VehiclePart
+    at_s: float
+    """Seconds on the mission's clock."""
+
+    def __post_init__(self) -> None:
+        _check_time(self.at_s)
+
+
+Fault = ThrusterFault | PartFault
+
+
+def light(fault: Fault | None, time: float) -> float:
+    """The share of the light that pictures have at a time, in seconds on the mission's clock."""
+    if not isinstance(fault, PartFault) or time < fault.at_s:
+        return 1.0
+    return {VehiclePart.LAMP: LAMP_LEFT, VehiclePart.CAMERA: 0.0}.get(fault.part, 1.0)
+
+
+def read_fault(told: str) -> Fault:
+    """The fault that `KIND:NUMBER@SECONDS` names for a thruster, such as `dead:3@40`, or `PART@SECONDS`.
 
     Raises:
         ValueError: It names none.
     """
-    kind, _, rest = told.partition(":")
-    number, _, seconds = rest.partition("@")
+    what, _, seconds = told.partition("@")
+    kind, _, number = what.partition(":")
     try:
+        if what in list(VehiclePart):
+            return PartFault(VehiclePart(what), float(seconds))
         return ThrusterFault(int(number), FaultKind(kind), float(seconds))
     except ValueError as error:
         if str(error).startswith("fault."):
             raise
-        kinds = "|".join(FaultKind)
         raise ValueError(
-            f"fault: expected {kinds}, the thruster's number and when, in seconds, as dead:3@40, got {told!r}"
+            f"fault: expected {'|'.join(FaultKind)} and the thruster's number, or {'|'.join(VehiclePart)}, "
+            f"and when, in seconds, as dead:3@40 or lamp@40, got {told!r}"
         ) from None
+
+
+def _check_time(seconds: float) -> None:
+    if not 0.0 <= seconds < math.inf:
+        raise ValueError(f"fault.at_s: expected 0 s or more, got {seconds}")

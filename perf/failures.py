@@ -1,12 +1,14 @@
-"""Is a thruster that fails named in time, and does the mission come home with the others?
+"""Is what fails on a vehicle named in time, and does the mission come home?
 
-    python perf/thrusters.py                             80 missions of the Heavy, hours; goes on where it was
-    python perf/thrusters.py --vehicle bluerov2 --missions 40
-    python perf/thrusters.py --healthy 10                missions without a fault: is one named all the same?
+    python perf/failures.py                              80 missions of the Heavy, hours; goes on where it was
+    python perf/failures.py --vehicle bluerov2 --missions 40
+    python perf/failures.py --fails part --missions 16   battery, lamp, depth sensor and camera
+    python perf/failures.py --fails nothing --missions 10     is something named all the same?
 
 Each mission swims in a world of `dev`, reefs and wrecks, with a current from a direction that is drawn. One
-of its thrusters fails, one kind after the other, at a second that is drawn. Seconds until it is named count
-from when it first gives another force than it was commanded. Nothing is tuned on `test`.
+of its thrusters or parts fails, one kind after the other, at a second that is drawn. Seconds until it is
+named count from then; of a thruster, from when it first gives another force than it was commanded. Nothing is
+tuned on `test`.
 """
 
 from __future__ import annotations
@@ -30,14 +32,21 @@ from dream.planning import PLANNERS
 from dream.robots import Anchored, Motion, Simulated, _kernels
 from dream.sim.ordered import protocol_in
 from dream.sim.vehicle import BLUEROV2, BLUEROV2_HEAVY
-from dream.vehicle import FaultKind, ThrusterFault
+from dream.vehicle import Fault, FaultKind, PartFault, ThrusterFault, VehiclePart
 
 VEHICLES = {"heavy": BLUEROV2_HEAVY, "bluerov2": BLUEROV2}
 SOON = 3.0
 """Seconds within which a fault should be named."""
 DRAWN = (5.0, 60.0)
-"""Seconds of the mission within which a thruster fails."""
+"""Seconds of the mission within which something fails."""
 SEED = 900_047
+NAMES = {
+    VehiclePart.SAG: "battery",
+    VehiclePart.LAMP: "lamp",
+    VehiclePart.GAUGE: "depth sensor",
+    VehiclePart.CAMERA: "camera",
+}
+"""What the trouble of each begins with, after its article."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,12 +59,13 @@ class Swum:
     number: int
     world: str
     seed: int
-    kind: str
-    """Empty where nothing fails."""
-    thruster: int
-    at_s: float | None
+    fails: str
+    """`thruster`, `part` or `nothing`."""
+    fault: str
+    """As it is said to `--fault`; empty where nothing fails."""
     shown_s: float | None
-    """When it first gave another force than it was commanded; None where it never did."""
+    """When it failed, a thruster when it first gave another force than it was commanded; None where it never
+    did."""
     named_s: float | None
     named: str
     rightly: bool
@@ -77,16 +87,42 @@ def case_of(number: int) -> Case:
     return some[7 * (number // 2) % len(some)]
 
 
-def swim(number: int, vehicle: str, name: str, planner: str, max_steps: int | None, *, healthy: bool) -> Swum:
+def fault_of(number: int, fails: str, vehicle: str) -> Fault | None:
+    """What fails in the mission of that number."""
+    at = round(float(np.random.default_rng((SEED, number)).uniform(*DRAWN)), 2)
+    if fails == "part":
+        return PartFault(list(VehiclePart)[number // 2 % len(VehiclePart)], at)
+    if fails == "nothing":
+        return None
+    thruster = 1 + number // len(FaultKind) % VEHICLES[vehicle].thrusters.count
+    return ThrusterFault(thruster, list(FaultKind)[number % len(FaultKind)], at)
+
+
+def spelt(fault: Fault | None) -> str:
+    """As it is said to `--fault`."""
+    if fault is None:
+        return ""
+    what = fault.part if isinstance(fault, PartFault) else f"{fault.kind}:{fault.thruster}"
+    return f"{what}@{fault.at_s:g}"
+
+
+def is_right(fault: Fault | None, robot: Simulated, named: str) -> bool:
+    """Is what was named what failed?"""
+    if isinstance(fault, PartFault):
+        return named.startswith(f"the {NAMES[fault.part]} ")
+    found = robot.finding
+    return (
+        fault is not None
+        and found is not None
+        and (found.thruster, found.kind) == (fault.thruster, fault.kind)
+    )
+
+
+def swim(number: int, fails: str, vehicle: str, name: str, planner: str, max_steps: int | None) -> Swum:
     """The mission of that number."""
-    case = case_of(number)
+    case, fault = case_of(number), fault_of(number, fails, vehicle)
     world, body = case.open(), VEHICLES[vehicle]
     protocol = protocol_in(world, name)
-    rng = np.random.default_rng((SEED, number))
-    kind = list(FaultKind)[number % len(FaultKind)]
-    thruster = 1 + number // len(FaultKind) % body.thrusters.count
-    at = round(float(rng.uniform(*DRAWN)), 2)
-    fault = None if healthy else ThrusterFault(thruster, kind, at)
     robot = Simulated(world, protocol, world.starts[case.start], motion=Motion(vehicle=body, fault=fault))
     steps = explore(
         Anchored(robot, protocol),
@@ -95,16 +131,22 @@ def swim(number: int, vehicle: str, name: str, planner: str, max_steps: int | No
         max_steps=max_steps,
     )
     clock = robot._voyage.clock
-    ended, why, made, before, after = "", "", 0, 0, 0
+    shown = fault.at_s if isinstance(fault, PartFault) else math.inf
+    ended, why, named, told_s, made, before, after = "", "", "", math.nan, 0, 0, 0
     try:
         for step in steps:
             made, ended = step.index, step.ended
-            failed = clock[_kernels.FAILED] <= clock[_kernels.TIME]
+            failed = min(shown, float(clock[_kernels.FAILED])) <= clock[_kernels.TIME]
             before += step.arrival.collided and not failed
             after += step.arrival.collided and failed
+            if step.observation.trouble and not named:
+                named, told_s = step.observation.trouble, step.observation.time
     except MissionAborted as error:
         ended, why = "aborted", str(error)
-    shown, found = float(clock[_kernels.FAILED]), robot.finding
+    shown, found = min(shown, float(clock[_kernels.FAILED])), robot.finding
+    if found is not None:
+        # It is named in the middle of a move, and told after it.
+        named, told_s = str(found), found.time
     return Swum(
         vehicle=vehicle,
         protocol=name,
@@ -112,13 +154,12 @@ def swim(number: int, vehicle: str, name: str, planner: str, max_steps: int | No
         number=number,
         world=case.world,
         seed=case.seed,
-        kind="" if fault is None else kind.value,
-        thruster=thruster,
-        at_s=None if fault is None else at,
+        fails=fails,
+        fault=spelt(fault),
         shown_s=shown if math.isfinite(shown) else None,
-        named_s=None if found is None else found.time,
-        named="" if found is None else str(found),
-        rightly=found is not None and fault is not None and (found.thruster, found.kind) == (thruster, kind),
+        named_s=told_s if named else None,
+        named=named,
+        rightly=is_right(fault, robot, named),
         ended=ended,
         why=why,
         steps=made,
@@ -134,12 +175,18 @@ def share(of: Sequence[bool]) -> str:
     return f"{sum(of)}/{len(of)} ({told.low:.2f} to {told.high:.2f})"
 
 
+def kind_of(one: Swum) -> str:
+    """Of a fault, without which thruster and when."""
+    return one.fault.partition("@")[0].partition(":")[0]
+
+
 def told(swum: list[Swum]) -> str:
     """A table by kind of fault, and what healthy swimming came to."""
     heads = ("kind", "missions", f"named in {SOON:g} s", "wrongly", "never", "contacts", "home", "surfaced")
     lines = ["{:>8} {:>8} {:>22} {:>8} {:>6} {:>9} {:>22} {:>8}".format(*heads)]
-    for kind in (*(one.value for one in FaultKind), "all"):
-        some = [one for one in swum if one.shown_s is not None and kind in (one.kind, "all")]
+    kinds = sorted({kind_of(one) for one in swum if one.fault})
+    for kind in (*kinds, "all"):
+        some = [one for one in swum if one.shown_s is not None and kind in (kind_of(one), "all")]
         delays = [
             one.named_s - one.shown_s if one.named_s is not None and one.shown_s is not None else math.inf
             for one in some
@@ -170,23 +217,26 @@ def main() -> int:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--vehicle", choices=VEHICLES, default="heavy")
+    parser.add_argument("--fails", choices=("thruster", "part", "nothing"), default="thruster")
     parser.add_argument("--missions", type=int, default=80)
-    parser.add_argument("--healthy", type=int, default=0, help="so many missions without a fault instead")
     parser.add_argument("--protocol", default="dream-v2-nav")
     parser.add_argument("--planner", choices=PLANNERS, default="belief")
     parser.add_argument("--max-steps", type=int, default=None, help="the protocol's cap unless given")
-    parser.add_argument("--out", type=Path, default=Path("thrusters.jsonl"), help="where missions are kept")
+    parser.add_argument("--out", type=Path, default=Path("failures.jsonl"), help="where missions are kept")
     given = parser.parse_args()
     lines = given.out.read_text().splitlines() if given.out.exists() else []
     kept = [Swum(**json.loads(line)) for line in lines]
-    like = (given.vehicle, given.protocol, given.planner)
-    there = {(one.vehicle, one.protocol, one.planner, one.number, not one.kind) for one in kept}
-    healthy = given.healthy > 0
+    like = (given.fails, given.vehicle, given.protocol, given.planner)
+
+    def is_like(one: Swum) -> bool:
+        return (one.fails, one.vehicle, one.protocol, one.planner) == like
+
+    there = {one.number for one in kept if is_like(one)}
     with given.out.open("a") as file:
-        for number in range(given.healthy or given.missions):
-            if (*like, number, healthy) in there:
+        for number in range(given.missions):
+            if number in there:
                 continue
-            one = swim(number, *like, given.max_steps, healthy=healthy)
+            one = swim(number, *like, given.max_steps)
             kept.append(one)
             file.write(f"{json.dumps(asdict(one))}\n")
             file.flush()
@@ -194,12 +244,12 @@ def main() -> int:
                 "" if one.named_s is None or one.shown_s is None else f"{one.named_s - one.shown_s:.2f} s, "
             )
             print(
-                f"{number}: {one.world} {one.seed}, {one.thruster} {one.kind or 'healthy'}: {late}"
+                f"{number}: {one.world} {one.seed}, {one.fault or 'healthy'}: {late}"
                 f"{one.named or 'nothing named'}, {one.ended} {one.why} after {one.steps} steps, "
                 f"{one.contacts_before} and {one.contacts_after} contacts",
                 flush=True,
             )
-    print(told([one for one in kept if (one.vehicle, one.protocol, one.planner) == like]))
+    print(told([one for one in kept if is_like(one)]))
     return 0
 
 
