@@ -576,7 +576,7 @@ def test_a_leak_is_told_and_surfaces_where_it_is_to(ground: Ground) -> None:
 
 
 def test_a_low_battery_is_told_after_its_time(ground: Ground) -> None:
-    for name, value in ((b"BATT_LOW_VOLT", 14.5), (b"BATT_FS_LOW_ACT", 3)):
+    for name, value in ((b"BATT_LOW_VOLT", 14.5), (b"BATT_FS_LOW_ACT", 3), (b"BATT_CAPACITY", 18_000)):
         ground.say(mav.MAVLink_param_set_message(1, 1, name, value, 9))
     ground.under_way(ALT_HOLD)
     ground.tank.drain(14.0)
@@ -589,7 +589,23 @@ def test_a_low_battery_is_told_after_its_time(ground: Ground) -> None:
     assert where(ground)[2] > z + 0.05
     status = ground.last("SYS_STATUS")
     assert 12_500 < status.voltage_battery < 13_960
-    assert status.battery_remaining == pytest.approx(28, abs=2)
+    assert status.battery_remaining == pytest.approx(21, abs=1)
+
+
+def test_what_is_left_of_the_battery_it_reckons_from_a_capacity_and_from_its_boot(ground: Ground) -> None:
+    def left() -> int:
+        ground.run(1.0)
+        return int(ground.last("SYS_STATUS").battery_remaining)
+
+    # As BlueOS delivers it: nobody told it a capacity.
+    assert left() == -1
+    ground.say(mav.MAVLink_param_set_message(1, 1, b"BATT_CAPACITY", 18_000, 9))
+    ground.tank.leave(0.305)
+    assert left() == 30
+    # It takes whatever it boots on for a full one.
+    ground.sub.reboot(1.0)
+    ground.run(1.0)
+    assert left() == 99
 
 
 def test_a_reboot_is_silent_then_disarmed_with_its_parameters_and_a_clock_at_zero(ground: Ground) -> None:

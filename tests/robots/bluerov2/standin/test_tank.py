@@ -7,9 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from dream.geometry import SE2
-from dream.robots.bluerov2.standin.tank import BEAT, Conditions, Tank
+from dream.robots.bluerov2.standin.tank import BEAT, Battery, Conditions, Tank
 from dream.sim.sensors import BAR30, DVL_A50, ICM_20602
 from dream.sim.world import World
 from dream.sim.worlds import make_world
@@ -82,6 +84,49 @@ def test_thrust_goes_with_the_voltage_and_the_voltage_with_thrust(pool: World) -
 
     # Force goes with V^1.15.
     assert thrust(16.0) / thrust(14.0) == pytest.approx((16.0 / 14.0) ** 1.15, rel=0.01)
+
+
+def test_a_battery_rests_where_its_cells_do() -> None:
+    battery = Battery()
+    assert (battery.full, battery.empty) == pytest.approx((16.8, 10.0))
+    # By the table of the cell: 3.4193 V at 13.57 % and 3.5826 V at 29.15 %.
+    assert battery.at_rest(0.2) == pytest.approx(4 * 3.4867, abs=1e-3)
+    assert battery.at_rest(0.5) == pytest.approx(4 * 3.740, abs=0.01)
+    # The knee: the last tenth takes more than the next three.
+    rest = [battery.at_rest(left) for left in (0.0, 0.1, 0.4)]
+    assert rest[1] - rest[0] > rest[2] - rest[1] > 0.0
+
+
+@given(st.floats(0.0, 1.0))
+def test_the_voltage_at_rest_says_what_is_left(left: float) -> None:
+    battery = Battery()
+    assert battery.left_at(battery.at_rest(left)) == pytest.approx(left, abs=1e-9)
+
+
+def test_what_is_left_of_a_battery_is_taken_from_it(pool: World) -> None:
+    tank, battery = Tank(pool), Battery()
+    tank.leave(0.3)
+    assert tank.used == pytest.approx(0.7 * 18.0)
+    assert tank.voltage == pytest.approx(battery.at_rest(0.3) - 0.03 * 1.5)
+    tank.drain(battery.at_rest(0.25))
+    assert tank.used == pytest.approx(0.75 * 18.0)
+    with pytest.raises(ValueError, match=r"share: expected 0 to 1, got 1\.2"):
+        tank.leave(1.2)
+    with pytest.raises(ValueError, match=r"volts: expected 10 to 16\.8, got 17"):
+        tank.drain(17.0)
+
+
+def test_a_bad_connection_makes_the_voltage_sag_under_load_alone(pool: World) -> None:
+    def sagged(resistance: float, commands: np.ndarray) -> float:
+        tank = Tank(pool)
+        tank.release()
+        tank.resistance = resistance
+        swum(tank, commands, 1.0)
+        return Battery().full - tank.voltage
+
+    assert sagged(0.2, NONE) == pytest.approx(0.2 * 1.5, abs=1e-3)
+    assert sagged(0.2, AHEAD) / sagged(0.03, AHEAD) == pytest.approx(0.2 / 0.03, rel=0.01)
+    assert sagged(0.2, AHEAD) > 0.4
 
 
 def test_what_it_draws_empties_the_battery(pool: World) -> None:

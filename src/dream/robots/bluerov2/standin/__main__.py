@@ -149,7 +149,7 @@ def _fault(fault: dict[str, Any], standin: StandIn, source: VideoSource | None) 
         raise ValueError(f"of: expected link, video, a50, tank or ardusub, got {part!r}")
 
 
-_DONE = {"tank": ("drain", "pull"), "ardusub": ("reboot", "jump_clock", "set_mode", "disarm")}
+_DONE = {"tank": ("drain", "leave", "pull"), "ardusub": ("reboot", "jump_clock", "set_mode", "disarm")}
 
 
 if __name__ == "__main__":

@@ -95,7 +95,8 @@ class ArduSub:
     they were last put until a failsafe neutralises them; why it refuses is told after that it does; its
     altitude above the sea is 0 until it has an origin, and then what that says; its heading is magnetic until
     then, true some ten seconds later, and leaps where it first dives; a depth target is cut to what it could
-    stop for.
+    stop for; what is left of the battery it tells only where it knows a capacity, and as if it had booted on
+    a full one.
 
     Simplified: the modes `MODES` only, no missions, no fences, no crash check, no input hold (buttons do
     nothing); GUIDED without any yaw holds its heading, where ArduSub turns to the last one it was told.
@@ -208,6 +209,11 @@ class ArduSub:
     def relative_altitude(self) -> float:
         """Metres above its home; once that is set, it is given as if the sea were the home (as in 4.7)."""
         return self.altitude if self.fix or self._home else self.ahrs.z
+
+    @property
+    def drawn(self) -> float:
+        """Ampere-hours that were drawn from the battery since it booted: it takes that for a full one."""
+        return self.tank.used - self._drawn_before
 
     @property
     def clock(self) -> float:
@@ -328,6 +334,7 @@ class ArduSub:
 
     def _boot(self, at: float) -> None:
         """All that does not last over a reboot."""
+        self._drawn_before = self.tank.used
         config = int(self.parameters["FRAME_CONFIG"])
         name, table = motors.FRAMES.get(config, motors.FRAMES[2])
         self._table = np.array(table)

@@ -39,6 +39,11 @@ class Protected(Protocol):
         ...
 
     @property
+    def drawn(self) -> float:
+        """Ampere-hours that were drawn since it booted."""
+        ...
+
+    @property
     def armed(self) -> bool:
         """Do its motors run?"""
         ...
@@ -152,7 +157,7 @@ class Failsafes:
         if not late or word in self._battery_failed:
             return
         self._battery_failed.add(word)
-        used = f"{sub.tank.voltage:.1f}V used {1000.0 * sub.tank.used:.0f} mAh"
+        used = f"{sub.tank.voltage:.1f}V used {1000.0 * sub.drawn:.0f} mAh"
         sub.say(mav.MAV_SEVERITY_WARNING, f"Battery 1 is {word} {used}")
         if sub.parameters[action] == 2.0:
             sub.disarm()

@@ -33,7 +33,7 @@ DEFAULTS: tuple[tuple[str, float, int], ...] = (
     ("ARMING_CHECK", 448, INT32),
     ("BARO_SPEC_GRAV", 1.0, REAL32),
     ("BATT_ARM_VOLT", 0, REAL32),
-    ("BATT_CAPACITY", 18000, INT32),
+    ("BATT_CAPACITY", 0, INT32),
     ("BATT_CRT_VOLT", 0, REAL32),
     ("BATT_FS_CRT_ACT", 0, INT8),
     ("BATT_FS_LOW_ACT", 0, INT8),

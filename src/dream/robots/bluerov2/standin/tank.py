@@ -29,19 +29,40 @@ LOAD_EVERY = 10
 """Beats between two looks at the battery."""
 
 
+CELLS = 4
+"""In series."""
+OPEN_CIRCUIT = np.array(
+    [
+        (0.0, 2.5),
+        (0.005, 2.808),
+        (0.0352, 3.1179),
+        (0.0854, 3.3182),
+        (0.1357, 3.4193),
+        (0.2915, 3.5826),
+        (0.4523, 3.6941),
+        (0.8392, 4.0664),
+        (0.9548, 4.1121),
+        (1.0, 4.2),
+    ]
+).T
+"""(2, 10): share of the charge that is left, and volts of a cell at rest then. Of a Samsung INR21700-40T at
+C/20, in the breakpoints that Sunil, Pattipati and Balasingam find for straight lines between them (*Piecewise
+Linear Approximation of Battery Open-Circuit Voltage Characteristics Using Dynamic Programming*, IEEE
+Transactions on Instrumentation and Measurement 2025; github.com/soorajsunil/Piecewise-Battery-OCV)."""
+
+
 @dataclass(frozen=True, slots=True)
 class Battery:
-    """Four lithium cells, and what draws on them.
+    """Four lithium-ion cells in series, and what draws on them.
 
-    What it does: the voltage at rest falls evenly with the charge that was taken, and under load by the
-    current times a resistance. Thrusters draw what the maker's table says at 16 V.
-    Reference: Blue Robotics' battery of 18 Ah. The resistance, with the tether-end wiring, is an assumption.
+    What it does: the voltage at rest follows `OPEN_CIRCUIT`, and under load it is lower by the current times
+    a resistance. Thrusters draw what the maker's table says at 16 V.
+    Reference: Blue Robotics' battery of 18 Ah, four times six cells of 18650, 16.8 V at most. Who makes them
+    is not told: that they are like those of the table is an assumption (another that the same authors
+    measured, a Molicel INR21700-P42A, is within 0.03 V of them from 5 % on). So is the resistance, with the
+    wiring.
     """
 
-    full: float = 16.6
-    """Volts at rest, charged."""
-    empty: float = 13.0
-    """Volts at rest, when the charge is gone."""
     charge: float = 18.0
     """Ampere-hours."""
     resistance: float = 0.03
@@ -50,12 +71,29 @@ class Battery:
     """Amperes of everything but the thrusters."""
 
     def __post_init__(self) -> None:
-        if not 0.0 < self.empty <= self.full < math.inf:
-            raise ValueError(f"battery: expected 0 < empty <= full volts, got {self.empty} and {self.full}")
         if not (0.0 < self.charge < math.inf and self.resistance >= 0.0 and self.idle >= 0.0):
             raise ValueError(
                 f"battery: expected a charge above 0, resistance and idle of 0 or more, got {self}"
             )
+
+    @property
+    def full(self) -> float:
+        """Volts at rest, charged."""
+        return self.at_rest(1.0)
+
+    @property
+    def empty(self) -> float:
+        """Volts at rest, when the charge is gone."""
+        return self.at_rest(0.0)
+
+    def at_rest(self, left: float) -> float:
+        """Volts, with this share of its charge left."""
+        return CELLS * float(np.interp(left, *OPEN_CIRCUIT))
+
+    def left_at(self, volts: float) -> float:
+        """Share of its charge that is left where it has so many volts at rest."""
+        shares, cell = OPEN_CIRCUIT
+        return float(np.interp(volts / CELLS, cell, shares))
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,8 +151,8 @@ class Tank:
     there until `release`**, which the autopilot calls when it is first armed; after that a vehicle without
     thrust floats up.
 
-    Faults are fields: `pulls` at the tether, `leak`, those of gauge and thrusters, and `drain` for the
-    battery.
+    Faults are fields: `pulls` at the tether, `leak`, `resistance` of the battery, those of gauge and
+    thrusters; and `drain` and `leave` for the battery's charge.
 
     Assumes: one thread advances. What others may read at any time (`state`, `T_world_base`, `imu`, `depth`,
     `heading`, `voltage`) is replaced as a whole after each beat.
@@ -191,6 +229,8 @@ class Tank:
         self.thrust = np.ones(len(self._commands))
         """(n,) share of its command that each thruster follows: 0 for a dead one, -1 for a reversed one."""
         self._drifted = 0.0
+        self.resistance = conditions.battery.resistance
+        """Ohms of battery and wiring."""
         self.voltage = conditions.battery.full
         """Volts under load."""
         self.amperes = conditions.battery.idle
@@ -238,8 +278,13 @@ class Tank:
         battery = self.conditions.battery
         if not battery.empty <= volts <= battery.full:
             raise ValueError(f"volts: expected {battery.empty:g} to {battery.full:g}, got {volts}")
-        span = battery.full - battery.empty
-        self._used = battery.charge * (battery.full - volts) / span if span > 0.0 else 0.0
+        self.leave(battery.left_at(volts))
+
+    def leave(self, share: float) -> None:
+        """Take so much charge that this share of it, 0 to 1, is left."""
+        if not 0.0 <= share <= 1.0:
+            raise ValueError(f"share: expected 0 to 1, got {share}")
+        self._used = (1.0 - share) * self.conditions.battery.charge
         self._load()
 
     def pull(self, force: tuple[float, float, float], seconds: float, *, after: float = 0.0) -> None:
@@ -300,8 +345,7 @@ class Tank:
         drawn = 0.0 if self.held else float(watts(self._commands).sum()) / TABLE_VOLTAGE
         left = max(1.0 - self._used / battery.charge, 0.0)
         self.amperes = battery.idle + drawn
-        rest = battery.empty + left * (battery.full - battery.empty)
-        self.voltage = max(rest - battery.resistance * self.amperes, 1.0)
+        self.voltage = max(battery.at_rest(left) - self.resistance * self.amperes, 1.0)
         factor = (self.voltage / TABLE_VOLTAGE) ** (0.5 * VOLTAGE_POWER)
         np.multiply(self._table, factor, out=self._body.roots)
 

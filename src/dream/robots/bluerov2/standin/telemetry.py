@@ -68,6 +68,11 @@ class Reported(Protocol):
         ...
 
     @property
+    def drawn(self) -> float:
+        """Ampere-hours that were drawn since it booted."""
+        ...
+
+    @property
     def armed(self) -> bool:
         """Do its motors run?"""
         ...
@@ -220,11 +225,15 @@ def nav_controller_output(sub: Reported) -> Message:
 
 
 def sys_status(sub: Reported) -> Message:
-    """Battery and health."""
+    """Battery and health.
+
+    What is left of the charge it reckons from a capacity, as if it booted on a full battery; it does not know
+    that without one.
+    """
     tank = sub.tank
     ready = sub.parameters["BATT_ARM_VOLT"] <= tank.voltage
-    capacity = max(sub.parameters["BATT_CAPACITY"], 1.0)
-    left = min(max(100.0 - 1e5 * tank.used / capacity, 0.0), 100.0)
+    capacity = sub.parameters["BATT_CAPACITY"]
+    left = min(max(100.0 - 1e5 * sub.drawn / capacity, 0.0), 100.0) if capacity > 0.0 else -1.0
     present = SENSORS | PREARM
     healthy = present if ready else SENSORS
     volts, amperes = round(1000.0 * tank.voltage), round(100.0 * tank.amperes)
