@@ -40,10 +40,11 @@ class Ailing:
     robot: Robot
     since: float
     trouble: str = "a lamp is out"
+    until: float = math.inf
 
     def observe(self) -> Observation:
         seen = self.robot.observe()
-        return replace(seen, trouble=self.trouble if seen.time >= self.since else "")
+        return replace(seen, trouble=self.trouble if self.since <= seen.time < self.until else "")
 
     def go_to(self, setpoint: Setpoint) -> Arrival:
         return self.robot.go_to(setpoint)
@@ -368,16 +369,21 @@ def test_a_clock_that_goes_on_while_a_planner_thinks_counts_that_once(reef: Worl
     assert turned[0] < turned[1]
 
 
-def test_trouble_calls_a_mission_home_that_had_no_budget(reef: World) -> None:
-    robot = Ailing(Teleport(reef, DREAM_V1), since=60.0)
-    steps = list(explore(robot, Belief(), OccupancyMap(reef.bounds, DREAM_V1)))
+@pytest.mark.parametrize("until", [math.inf, 62.0], ids=["lasts", "passes"])
+@pytest.mark.parametrize("budget", [None, Budget(1e6)])
+def test_trouble_calls_a_mission_home_that_had_enough_left_even_if_it_passes(
+    until: float, budget: Budget | None, reef: World
+) -> None:
+    robot = Ailing(Teleport(reef, DREAM_V1), since=60.0, until=until)
+    steps = list(explore(robot, Belief(), OccupancyMap(reef.bounds, DREAM_V1), budget=budget))
+    assert sum(bool(step.observation.trouble) for step in steps) == 1 or until == math.inf
     last = steps[-1]
     assert last.ended == "returned"
     assert last.home is not None
     assert last.home.why == "a lamp is out"
     assert at_home(last, (steps[0].observation.pose.x, steps[0].observation.pose.y))
-    first = next(step for step in steps if step.home is not None)
-    assert first.observation.time < 70.0
+    first = next(step for step in steps if step.home is not None and step.home.why)
+    assert 60.0 <= first.observation.time < 70.0
 
 
 def test_moves_that_become_slower_call_it_home_earlier(reef: World) -> None:

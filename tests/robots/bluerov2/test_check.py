@@ -151,8 +151,11 @@ RIVAL = "another station uses our system id 255: HEARTBEAT from its component 19
         ("depth", lying(math.nan, -0.4), "nan m", "--surface-pressure"),
         ("depth", told(own_altitude_age=1.5), "the autopilot does not tell its own", "GLOBAL_POSITION_INT"),
         ("depth", lying(0.0, math.nan), "the autopilot does not tell its own", "GLOBAL_POSITION_INT"),
-        ("battery", told(voltage=13.9), "13.9 V", "14 V or more"),
-        ("battery", told(voltage=math.nan), "unknown", "14 V or more"),
+        ("battery", told(voltage=13.9), "13.9 V", "14.4 V or more"),
+        # With less than the reserve a mission would turn home before its first step.
+        ("battery", told(voltage=14.35), "14.3 V", "14.4 V or more"),
+        ("battery", told(battery=0.2), "16.0 V, 20% left", "above 20%"),
+        ("battery", told(voltage=math.nan), "unknown", "14.4 V or more"),
         ("hull", told(leak=True), "water!", "a dry hull"),
         ("DVL", heard(connected=False, problem="no connection to it"), "no connection to it", "an A50 that"),
         ("DVL", heard(age=1.5), "report 1.5 s old", "an A50 that pings"),

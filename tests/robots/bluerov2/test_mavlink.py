@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import itertools
 import json
 import math
 import socket
@@ -19,6 +20,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from dream.geometry import wrap_angle
 from dream.measurements import Depth, Heading, Imu
+from dream.robots.bluerov2.limits import SAG
 from dream.robots.bluerov2.mavlink import LIFELINE, LOST, PERIOD, RATES, REASON, Link, Refused, Restored
 from dream.robots.bluerov2.motion import LONGEST, ExpiringOrders
 from dream.robots.bluerov2.reports import GRAVITY, SEA
@@ -26,7 +28,7 @@ from dream.robots.bluerov2.standin.ardusub import ArduSub
 from dream.robots.bluerov2.standin.lockstep import LockStep
 from dream.robots.bluerov2.standin.tank import Conditions, Tank
 from dream.robots.bluerov2.sticks import NEUTRAL, STILL, Sticks
-from dream.robots.bluerov2.telemetry import HEADING_SIGMA, LOCAL, SLIPPED
+from dream.robots.bluerov2.telemetry import HEADING_SIGMA, LOCAL, SLIPPED, Sag
 from dream.robots.bluerov2.wire import Udp
 from dream.sim.worlds import make_world
 from dream.types import BodyVelocity
@@ -1139,6 +1141,52 @@ def test_what_was_drawn_is_the_sum_of_volts_times_amperes_also_over_a_gap(dive: 
     assert tell(15.0, None) == pytest.approx(1.0)
     dive.clock.time += 60.0
     assert tell(15.0, 8.0) == pytest.approx(1.0 + 15.0 * 6.0 * 120.0 / 3600.0)
+
+
+def lasting(told: list[tuple[float, float]]) -> float:
+    """The least voltage of which none was above it for `SAG` seconds on end, by all stretches of time; NaN
+    without any. A longer one without a voltage is none."""
+    least = math.inf
+    for last, (end, _) in enumerate(told):
+        for first in range(last + 1):
+            stretch = told[first : last + 1]
+            gaps = [later - earlier for (earlier, _), (later, _) in itertools.pairwise(stretch)]
+            known = not any(math.isnan(volts) for _, volts in stretch) and all(gap <= SAG for gap in gaps)
+            if known and end - stretch[0][0] >= SAG:
+                least = min(least, max(volts for _, volts in stretch))
+    return least if least < math.inf else math.nan
+
+
+@given(
+    st.lists(
+        st.tuples(st.sampled_from([0.25, 0.5, 1.0, 3.0, 3.5]), st.sampled_from([13.5, 14.3, 16.0, math.nan])),
+        max_size=24,
+    )
+)
+def test_a_voltage_counts_once_it_has_lasted_whoever_asks(told: list[tuple[float, float]]) -> None:
+    sag, now, heard, found = Sag(), 0.0, list[tuple[float, float]](), math.nan
+    for wait, volts in told:
+        now += wait
+        heard.append((now, volts))
+        found = sag(now, volts)
+    assert found == pytest.approx(lasting(heard), nan_ok=True)
+
+
+def test_a_moments_load_is_no_sag_and_one_that_lasted_is_not_forgotten(dive: Dive) -> None:
+    def tell(volts: float, seconds: float) -> float:
+        for _ in range(round(2.0 * seconds)):
+            dive.clock.time += 0.5
+            dive.vehicle.status(volts)
+        return dive.link.telemetry.sagged
+
+    assert math.isnan(tell(16.0, 1.0))
+    assert tell(16.0, 5.0) == 16.0
+    for _ in range(5):
+        assert tell(13.0, SAG - 0.5) == 16.0
+        assert tell(16.0, 0.5) == 16.0
+    # With the load gone it recovers, and who asks then hears of it all the same.
+    assert tell(14.3, SAG + 0.5) == 14.3
+    assert tell(16.0, 10.0) == 14.3
 
 
 def test_loss_is_counted_by_sequence_numbers(dive: Dive) -> None:

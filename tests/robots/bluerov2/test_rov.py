@@ -156,6 +156,25 @@ def test_how_sure_it_is_goes_with_what_it_saw(monkeypatch: pytest.MonkeyPatch) -
     assert robot.accounts[-1].lost == 240 * 310
 
 
+@pytest.mark.parametrize(
+    ("said", "trouble"),
+    [
+        ({}, ""),
+        ({"battery": 0.21, "sagged": 14.4}, ""),
+        ({"battery": 0.2}, "the battery has 20% left"),
+        # It has recovered since, but did not last under the load of a move.
+        ({"voltage": 15.2, "sagged": 14.3}, "the battery is at 14.3 V"),
+        ({"battery": 0.1, "sagged": 14.3}, "the battery has 10% left"),
+    ],
+)
+def test_a_battery_that_is_low_is_trouble(
+    said: dict[str, float], trouble: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    vehicle = Telemetry(0.0, **said)  # type: ignore[arg-type]
+    robot = Scene().robot(monkeypatch, vehicle=lambda: vehicle, homing_voltage=14.4)
+    assert robot.observe().trouble == trouble
+
+
 def test_it_shows_that_the_mission_lives(monkeypatch: pytest.MonkeyPatch) -> None:
     scene = Scene()
     robot = scene.robot(monkeypatch)

@@ -218,6 +218,7 @@ class Flight:
             threads=ready.devices.threads,
             beams=lambda: ready.devices.beams,
             vehicle=lambda: ready.devices.link.telemetry,
+            homing_voltage=ready.limits.homing_voltage,
         )
 
     def _willed(self, bridge: Bridge, home: WayHome, will: Will) -> None:
@@ -295,8 +296,12 @@ class Flight:
 
     def _readings(self, bridge: Bridge) -> list[Reading]:
         """What the operator's console shows."""
+        from dream.robots.bluerov2.check import battery_told
+        from dream.robots.bluerov2.limits import LOW_SHARE
+
         devices, standing, fix = self.ready.devices, bridge.standing, bridge.fix
         said, pose, goal = devices.link.telemetry, bridge.fix.T_world_base.se2, bridge.goal
+        low = said.voltage < self.ready.limits.homing_voltage or said.battery <= LOW_SHARE
         here = f"{pose.x:+.2f} {pose.y:+.2f} m, heading {math.degrees(pose.yaw):+.0f}°"
         there = "none" if goal is None else f"{goal.x:+.2f} {goal.y:+.2f} m, {math.degrees(goal.yaw):+.0f}°"
         ages = (
@@ -316,7 +321,7 @@ class Flight:
             Reading("is at", f"{here} ± {fix.position_sigma:.2f} m"),
             Reading("goes to", there),
             Reading("depth", f"{said.depth:.2f} m, {fix.altitude:.2f} m above the floor"),
-            Reading("battery", f"{said.voltage:.1f} V", not said.voltage < self.ready.limits.voltage + 0.3),
+            Reading("battery", battery_told(said), not low),
             Reading("ages", ages, max(fix.imu_age, fix.dvl_age - 0.8, devices.camera.age - 0.8) < 0.2),
             Reading("camera", devices.camera.problem or "well", devices.camera.connected),
             Reading("DVL", devices.dvl.problem or "well", not devices.dvl.problem),

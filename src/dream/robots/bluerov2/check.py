@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Protocol
 
 from dream.robots.bluerov2.dvl_a50 import Config
-from dream.robots.bluerov2.limits import Limits
+from dream.robots.bluerov2.limits import LOW_SHARE, Limits
 from dream.robots.bluerov2.parameters import Check
 from dream.robots.bluerov2.telemetry import Telemetry
 
@@ -95,7 +95,6 @@ def findings(
     room = 60.0 * limits.minutes * LOGGED
     free = shutil.disk_usage(folder).free
     rate = seen.frames / seen.seconds if seen.seconds > 0.0 else 0.0
-    battery = telemetry.voltage
     return [
         Finding(
             "link",
@@ -140,9 +139,10 @@ def findings(
         _depth(telemetry, zeroed_here=zeroed_here),
         Finding(
             "battery",
-            battery >= limits.voltage,
-            "unknown" if math.isnan(battery) else f"{battery:.1f} V",
-            f"{limits.voltage:g} V or more",
+            telemetry.voltage >= limits.homing_voltage and not telemetry.battery <= LOW_SHARE,
+            battery_told(telemetry),
+            f"{limits.homing_voltage:g} V or more, and above {LOW_SHARE:.0%} where it tells that: with less "
+            "the mission would go home at once",
         ),
         Finding("hull", not telemetry.leak, "water!" if telemetry.leak else "dry", "a dry hull"),
         Finding(
@@ -176,6 +176,14 @@ def findings(
             f"{room / (1 << 30):.1f} GiB or more for the log of {limits.minutes:g} minutes",
         ),
     ]
+
+
+def battery_told(telemetry: Telemetry) -> str:
+    """Its voltage, and what is left of it where the vehicle says that."""
+    if math.isnan(telemetry.voltage):
+        return "unknown"
+    left = "" if math.isnan(telemetry.battery) else f", {telemetry.battery:.0%} left"
+    return f"{telemetry.voltage:.1f} V{left}"
 
 
 def _depth(telemetry: Telemetry, *, zeroed_here: bool) -> Finding:

@@ -9,7 +9,13 @@ from dataclasses import dataclass
 from dream.geometry import Bounds
 
 SAG = 3.0
-"""Seconds that the battery may be below its limit."""
+"""Seconds that the battery may be below its limit: thrusters make its voltage sag for a moment."""
+RESERVE = 0.4
+"""Volts above that limit, 0.1 a cell, below which a mission goes home: what is between has to bring it there.
+From 3.6 to 3.5 V a cell at rest that is a tenth of the charge (`standin.tank.OPEN_CIRCUIT`), 1.9 Ah: some
+sixteen minutes at 100 W, in which a BlueROV2 comes farther at 0.5 m/s than its tether reaches."""
+LOW_SHARE = 0.2
+"""Share of the battery's charge at which it does, where the vehicle tells that."""
 
 
 class LastResort(enum.StrEnum):
@@ -39,6 +45,11 @@ class Limits:
     last_resort: LastResort = LastResort.SURFACE
     altitude: float = 0.2
     """Metres of the DVL above the seabed, at least."""
+
+    @property
+    def homing_voltage(self) -> float:
+        """Volts below which a mission goes home."""
+        return self.voltage + RESERVE
 
     @property
     def shorter(self) -> float:

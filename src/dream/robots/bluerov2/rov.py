@@ -14,6 +14,7 @@ from dream.geometry import SE2, SE3, Camera, FloatArray, camera_mount, wrap_angl
 from dream.perception import Account, Perception, View
 from dream.protocol import SurveyProtocol
 from dream.robots.bluerov2.bridge import Bridge, Stance
+from dream.robots.bluerov2.limits import LOW_SHARE
 from dream.robots.bluerov2.navigation import Fix, Navigator
 from dream.robots.bluerov2.telemetry import Telemetry
 from dream.robots.bluerov2.threads import REAL_TIME, Threads
@@ -25,8 +26,6 @@ SOON = 3.0
 """Seconds that looking, and what the mission does with a step, may take each."""
 TILTING = 12.0
 """Seconds that tilting the camera may take, with all that is asked for again."""
-LOW = 0.2
-"""Share of the battery at which the mission goes home."""
 ASIDE = 0.15
 """Metres that the vehicle may be carried while it may not move itself, and yet go on to its goal."""
 
@@ -120,6 +119,7 @@ class BlueRov2:
         truth: Callable[[], tuple[SE3, int]] | None = None,
         beams: Callable[[], FloatArray | None] = lambda: None,
         vehicle: Callable[[], Telemetry] | None = None,
+        homing_voltage: float = 0.0,
         threads: Threads = REAL_TIME,
     ) -> None:
         """On its bridge.
@@ -141,6 +141,7 @@ class BlueRov2:
             truth: Where the vehicle really is, and how often it has run into something, of a stand-in.
             beams: (n, 3) metres in `base`, where the DVL's beams end now; None where that is not known.
             vehicle: What it says of its battery; None where nobody asks.
+            homing_voltage: Volts below which, for `SAG` seconds on end, the mission has to go home.
             threads: What it waits by.
         """
         self._bridge, self._navigator, self._eye = bridge, navigator, eye
@@ -152,6 +153,7 @@ class BlueRov2:
         self._manners = manners or Manners()
         self._waits, self._holds = waits, holds
         self._truth, self._beams, self._vehicle = truth, beams, vehicle
+        self._homing_voltage = homing_voltage
         self._contacts = truth()[1] if truth is not None else 0
         self._arrived = now()
         self.picture_ages: list[float] = []
@@ -206,11 +208,14 @@ class BlueRov2:
         """What an observation says of it."""
         if self._vehicle is None:
             return {}
-        said = self._vehicle()
-        low = said.battery <= LOW
+        said, trouble = self._vehicle(), ""
+        if said.battery <= LOW_SHARE:
+            trouble = f"the battery has {said.battery:.0%} left"
+        elif said.sagged < self._homing_voltage:
+            trouble = f"the battery is at {said.sagged:.1f} V"
         return {
             "drawn_wh": said.drawn_wh if math.isfinite(said.drawn_wh) else None,
-            "trouble": f"the battery has {said.battery:.0%} left" if low else "",
+            "trouble": trouble,
         }
 
     def go_to(self, setpoint: Setpoint) -> Arrival:

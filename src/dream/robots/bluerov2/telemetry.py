@@ -10,6 +10,7 @@ from typing import Any
 
 from dream.measurements import Depth, Heading, Imu
 from dream.robots.bluerov2.clocks import DeviceClock
+from dream.robots.bluerov2.limits import SAG
 from dream.robots.bluerov2.reports import (
     FRESH,
     MODES,
@@ -52,6 +53,8 @@ class Telemetry:
     armed: bool = False
     voltage: float = math.nan
     """Volts at the battery."""
+    sagged: float = math.nan
+    """Volts above which it was not for `SAG` seconds on end, at their lowest so far; NaN before."""
     battery: float = math.nan
     """Share that is left, 0 to 1."""
     drawn_wh: float = math.nan
@@ -115,6 +118,38 @@ class TelemetrySources:
             raise ValueError(f"density: expected 900 to 1200 kg/m³ of water, got {self.density}")
 
 
+class Sag:
+    """Volts that lasted.
+
+    What it does: takes every voltage that is told, and says the least so far of which none was above it for
+    `SAG` seconds on end. A moment's load is in no such time, and no voltage is missed by whoever asks late.
+    """
+
+    def __init__(self) -> None:
+        self._told: deque[tuple[float, float]] = deque()
+        """Of the last `SAG` seconds, and the last one before."""
+        self._least = math.inf
+
+    def __call__(self, now: float, volts: float) -> float:
+        """One more voltage; NaN as long as none lasted.
+
+        Args:
+            now: Seconds on the dive's clock.
+            volts: NaN where it is not known.
+        """
+        told = self._told
+        if math.isnan(volts) or (told and now - told[-1][0] > SAG):
+            # Of what nobody told, nothing is known.
+            told.clear()
+        if not math.isnan(volts):
+            told.append((now, volts))
+        while len(told) > 1 and told[1][0] <= now - SAG:
+            told.popleft()
+        if told and told[0][0] <= now - SAG:
+            self._least = min(self._least, max(each for _, each in told))
+        return self._least if self._least < math.inf else math.nan
+
+
 class Reports:
     """What was heard of the vehicle. Not thread-safe."""
 
@@ -127,6 +162,7 @@ class Reports:
         """Fields of `Telemetry` that are known."""
         self.seen: dict[str, float] = {}
         """When a kind of message last came: heartbeat, imu, attitude, pressure, own_altitude and so on."""
+        self._sag = Sag()
         self._metered: tuple[float, float] | None = None
         """When the battery monitor last told a current, and the watts by it."""
         self.texts: deque[tuple[float, int, str]] = deque(maxlen=200)
@@ -330,6 +366,7 @@ class Reports:
     def _status(self, message: Any, now: float) -> None:
         millivolts, percent = message.voltage_battery, message.battery_remaining
         self.values["voltage"] = millivolts / 1000.0 if 0 < millivolts < 65535 else math.nan
+        self.values["sagged"] = self._sag(now, self.values["voltage"])
         self.values["battery"] = percent / 100.0 if 0 <= percent <= 100 else math.nan
         if message.current_battery >= 0 and 0 < millivolts < 65535:
             watts = millivolts / 1000.0 * message.current_battery / 100.0
