@@ -362,7 +362,7 @@ def as_a_dive(run: Path, to: Path, *, stand_in: bool) -> Path:
     limits: Any = SimpleNamespace(area=Bounds(-2.0, -2.0, 2.0, 2.0))
     begun, start = Dive(stand_in=stand_in), SE2(0.0, 0.0, 0.0)
     ready = Ready(begun, DREAM_V1, devices, limits, start, dive, tank, unused, Known())
-    write_config(dive, dive_config(ready, "belief"))
+    write_config(dive, dive_config(ready, "belief", None))
     return dive
 
 

@@ -932,7 +932,7 @@ def test_where_things_sit_is_kept_with_the_dive(tmp_path: Path) -> None:
     limits, start = Limits(Bounds(-1.0, -1.0, 1.0, 1.0)), SE2(0.0, 0.0, 0.0)
     devices = SimpleNamespace(log=SimpleNamespace(epoch_ns=1_780_000_000_250_000_000))
     ready = Ready(told, POOL_V1, devices, limits, start, tmp_path, None, None, Known())  # type: ignore[arg-type]
-    kept = config(ready, "belief")
+    kept = config(ready, "belief", None)
     assert kept["began"].isoformat() == "2026-05-28T20:26:40.250000+00:00"
     assert kept["mounting"] == {
         "dvl": [0.1, 0.0, -0.2],

@@ -10,7 +10,8 @@ from typing import Any
 import pytest
 
 from dream.commands.dive.records import print_outcome
-from dream.recording import RecordedStep, read_steps
+from dream.commands.homing import Homing
+from dream.recording import RecordedStep, read_config, read_steps
 from dream.robots.bluerov2.home import SHALLOW
 from dream.robots.bluerov2.limits import LOW_SHARE, SAG, Limits
 from dream.robots.bluerov2.standin.rig import Rig
@@ -158,3 +159,24 @@ def test_all_are_told_why_it_came_home(called_home: Flown, capsys: pytest.Captur
     print_outcome(summary, None)
     assert f"it is home, where it went since {why}" in capsys.readouterr().out
     assert why in (called_home.folder / "report.html").read_text(encoding="utf-8")
+
+
+@pytest.mark.slow
+def test_a_mission_that_goes_home_is_there_before_its_minutes_are_over(tmp_path: Path) -> None:
+    minutes = 1.25
+    dived = flown(
+        tmp_path, lambda rig: None, Limits(TANK.bounds, minutes=minutes), homing=Homing(home="start")
+    )
+    assert dived.error is None
+    steps = dived.steps
+    assert steps[-1].ended == "returned"
+    turned = dived.turned()
+    assert turned.home is not None
+    assert turned.home.why.endswith("are left of the time")
+    # Minutes count from when it was armed, its launch included.
+    assert steps[0].time > 10.0
+    assert 45.0 < steps[-1].time < 60.0 * minutes + steps[0].time
+    # A replay is told the seconds that were left for the mission.
+    kept = read_config(dived.folder).budget
+    assert kept is not None
+    assert 60.0 * minutes - 20.0 < kept["seconds"] < 60.0 * minutes - 1.0

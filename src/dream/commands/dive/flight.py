@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from dream.commands.dive.ready import Ready
     from dream.commands.dive.terminal import Terminal
     from dream.evaluation.metrics import Logbook
+    from dream.homeward import Budget
     from dream.robots.bluerov2.bridge import Bridge, Standing
     from dream.robots.bluerov2.home import WayHome
     from dream.robots.bluerov2.navigation import Fix
@@ -81,7 +82,7 @@ class Flight:
         ready, name = self.ready, self.name
         told, devices, protocol = ready.told, ready.devices, ready.protocol
         began = time.perf_counter()
-        recording.write_config(ready.folder, config(ready, name))
+        recording.write_config(ready.folder, config(ready, name, told.homing.budget()))
         ready.known.keep(ready.folder)
         link = devices.link
         home = WayHome(link, ready.limits, devices.now, person=ready.steered, threads=devices.threads)
@@ -126,7 +127,7 @@ class Flight:
                     occupancy,
                     max_steps=told.max_steps,
                     prior=ready.known.prior,
-                    budget=told.homing.budget(),
+                    budget=self._budget(bridge),
                     ticking=True,
                 )
                 recorded = recording.record(
@@ -220,6 +221,17 @@ class Flight:
             vehicle=lambda: ready.devices.link.telemetry,
             homing_voltage=ready.limits.homing_voltage,
         )
+
+    def _budget(self, bridge: Bridge) -> Budget | None:
+        """What the mission may spend from here on: it is home before the minutes of the dive are over."""
+        from dream.recording import write_config
+
+        budget = self.ready.told.homing.budget()
+        if budget is not None:
+            budget = replace(budget, seconds=min(budget.seconds, math.floor(bridge.seconds_left)))
+            # A replay has to turn home where the dive does.
+            write_config(self.ready.folder, config(self.ready, self.name, budget))
+        return budget
 
     def _willed(self, bridge: Bridge, home: WayHome, will: Will) -> None:
         """The operator's word is the last: also where a joystick is broken, or its station gone."""

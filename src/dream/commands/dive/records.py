@@ -23,17 +23,17 @@ if TYPE_CHECKING:
     from dream.commands.dive.ready import Ready
     from dream.commands.dive.tank import Tank
     from dream.evaluation.metrics import Logbook
+    from dream.homeward import Budget
     from dream.perception import Account
     from dream.robots.bluerov2.bridge import Bridge
     from dream.robots.bluerov2.rov import BlueRov2
 
 
-def config(ready: Ready, name: str) -> dict[str, Any]:
-    """`config.json`: what the dive was begun with."""
+def config(ready: Ready, name: str, budget: Budget | None) -> dict[str, Any]:
+    """`config.json`: what the dive was begun with, and what its mission may spend."""
     told = asdict(replace(ready.told, planner=PLANNERS["belief"]))
     # What is known of the ground is kept beside; the address of an archive may hold a password.
     del told["planner"], told["ground"], told["homing"]
-    budget = ready.told.homing.budget()
     mounting = mounting_told(ready.told)
     return {
         "version": __version__,

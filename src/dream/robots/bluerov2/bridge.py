@@ -333,6 +333,11 @@ class Bridge:
         return self._over
 
     @property
+    def seconds_left(self) -> float:
+        """Until the minutes of the dive are over."""
+        return 60.0 * self._limits.minutes - (self._now() - self._began)
+
+    @property
     def goal(self) -> SE2 | None:
         """Where it is held to."""
         goal = self._goal
@@ -513,7 +518,7 @@ class Bridge:
             self._under = now
         elif now - self._under > ABOVE_FOR:
             return f"the estimate is {fix.T_world_base.translation[2]:.1f} m above the surface"
-        if now - self._began > 60.0 * limits.minutes:
+        if self.seconds_left < 0.0:
             return f"the {limits.minutes:g} minutes of the dive are over"
         if fix.altitude >= limits.altitude:
             self._low_since = math.inf
