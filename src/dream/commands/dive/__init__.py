@@ -118,9 +118,11 @@ class Dive:
     max_depth: float = 10.0
     """Depth at most, metres."""
     minutes: float = 60.0
-    """Length of the dive at most, minutes."""
+    """Length of the dive at most, minutes. A mission that goes home is there before; any other ends where it
+    is, and the vehicle comes up there."""
     min_voltage: float = 14.0
-    """Voltage of the battery at least, volts."""
+    """Voltage of the battery at least, volts. Below it the vehicle comes up where it is; from 0.4 V above it
+    on downwards the mission goes home."""
     min_altitude: float = 0.2
     """Height of the A50 above the floor at least, metres."""
     last_resort: Literal["hold", "surface", "disarm"] = "surface"
