@@ -755,7 +755,9 @@ def test_a_dive_that_ends_before_its_first_step_says_why_and_what_the_log_lost(
     assert "messages are lost: 3 of mavlink, 2 of camera. Was the disk full?" in caplog.text
 
 
-def test_a_step_whose_depth_is_not_believed_says_so(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_step_whose_depth_is_not_believed_says_so_and_one_with_trouble(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     told: list[tuple[str, Any]] = []
     devices = SimpleNamespace(
         log=SimpleNamespace(tap=lambda at, channel, sent, said: told.append((channel, said))), now=lambda: 7.0
@@ -771,13 +773,15 @@ def test_a_step_whose_depth_is_not_believed_says_so(tmp_path: Path, caplog: pyte
         for sure, beside, doubt in ((0.8, 1.0, ""), (0.0, 3.0, far), (0.0, math.nan, far), (0.4, 1.0, ""))
     ]
     vehicle = SimpleNamespace(accounts=[])
+    troubles = ["", "", "the battery is at 14.3 V", "the battery is at 14.2 V"]
 
     def steps() -> Iterator[Any]:
-        for index, account in enumerate(accounts):
+        for index, (account, trouble) in enumerate(zip(accounts, troubles, strict=True)):
             vehicle.accounts.append(account)
             yield SimpleNamespace(
                 index=index,
                 decision=Decision(),
+                observation=SimpleNamespace(trouble=trouble),
                 guarded=SimpleNamespace(note=""),
                 arrival=SimpleNamespace(note=""),
             )
@@ -794,6 +798,8 @@ def test_a_step_whose_depth_is_not_believed_says_so(tmp_path: Path, caplog: pyte
     # It is told once, as long as it stays the same.
     assert caplog.text.count(f"step 1: {far}") == 1
     assert caplog.text.count(far) == 1
+    assert caplog.text.count("step 2: the battery is at 14.3 V: the mission goes home") == 1
+    assert caplog.text.count("goes home") == 1
     counted = _perception(accounts)
     assert (counted["frames"], counted["frames_doubted"], counted["frames_without_depth"]) == (4, 2, 2)
     assert (counted["pixels_without_label"], counted["pixels_without_depth"]) == (8, 20)

@@ -11,11 +11,18 @@ import pytest
 
 from dream.commands.dive.records import print_outcome
 from dream.commands.homing import Homing
+from dream.homeward import read_budget
+from dream.mapping import OccupancyMap
+from dream.mission import explore
+from dream.planning.belief import Belief
+from dream.protocol import POOL_V1
 from dream.recording import RecordedStep, read_config, read_steps
 from dream.robots.bluerov2.home import SHALLOW
 from dream.robots.bluerov2.limits import LOW_SHARE, SAG, Limits
 from dream.robots.bluerov2.standin.rig import Rig
+from dream.robots.replay import Replayed
 from dream.sim.worlds import make_world
+from dream.types import Step
 from tests.robots.bluerov2 import rigged
 
 TANK = make_world("pool/arc", 1)
@@ -145,6 +152,23 @@ def test_it_comes_up_near_its_start_and_is_disarmed(called_home: Flown) -> None:
     assert called_home.away < NEAR
 
 
+def replayed(flown: Flown) -> list[Step]:
+    """The mission again, from what was seen."""
+    robot, kept = Replayed(flown.folder), read_config(flown.folder).budget
+    budget = None if kept is None else read_budget(kept)
+    again = list(explore(robot, Belief(), OccupancyMap(TANK.bounds, POOL_V1), budget=budget, ticking=True))
+    assert robot.divergences == ()
+    return again
+
+
+@pytest.mark.slow
+def test_a_replay_turns_home_where_the_dive_did(called_home: Flown) -> None:
+    again, steps = replayed(called_home), called_home.steps
+    assert [step.ended for step in again] == [step.ended for step in steps]
+    turned = next(step for step in again if step.home is not None and step.home.why)
+    assert turned.index == called_home.turned().step
+
+
 @pytest.mark.slow
 def test_all_are_told_why_it_came_home(called_home: Flown, capsys: pytest.CaptureFixture[str]) -> None:
     turned, summary = called_home.turned(), called_home.summary
@@ -180,3 +204,4 @@ def test_a_mission_that_goes_home_is_there_before_its_minutes_are_over(tmp_path:
     kept = read_config(dived.folder).budget
     assert kept is not None
     assert 60.0 * minutes - 20.0 < kept["seconds"] < 60.0 * minutes - 1.0
+    assert [step.ended for step in replayed(dived)] == [step.ended for step in steps]

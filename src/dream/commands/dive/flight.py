@@ -250,13 +250,16 @@ class Flight:
 
     def _logged(self, steps: Iterator[Step], vehicle: BlueRov2) -> Iterator[Step]:
         """Tell the log of each decision, and how far what was then seen can be believed."""
-        doubt = ""
+        doubt = trouble = ""
         for step in steps:
             account = vehicle.accounts[-1]
             self._log("perception", {"step": step.index, **account.said()})
             if account.doubt and account.doubt != doubt:
                 logger.warning("step %d: %s", step.index, account.doubt)
             doubt = account.doubt
+            if step.observation.trouble and not trouble:
+                trouble = step.observation.trouble
+                logger.warning("step %d: %s: the mission goes home", step.index, trouble)
             self.last, decision = step, step.decision
             told = {
                 "step": step.index,
