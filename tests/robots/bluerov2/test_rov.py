@@ -11,6 +11,7 @@ import pytest
 from dream.errors import MissionAborted
 from dream.geometry import SE2, SE3, Camera
 from dream.perception import FlatFloor, Perceived, Perception, Shells, View
+from dream.perception.lighting import RUNNING
 from dream.protocol import DREAM_V2_TRUE, POOL_V1
 from dream.robots.bluerov2 import rov
 from dream.robots.bluerov2.bridge import FINE, Stance, Standing
@@ -51,6 +52,7 @@ class Scene:
     asked_after: float = 0.0
     sure: float = 0.75
     depth: float = 1.0
+    light: int = 90
     each: object = None
     over: str = ""
 
@@ -100,7 +102,7 @@ class Scene:
     def view(self, picture: object, camera: Camera) -> tuple[UInt8Array, BoolArray]:
         seen = np.ones((camera.height, camera.width), np.bool_)
         seen[:, :10] = False
-        return np.zeros((camera.height, camera.width, 3), np.uint8), seen
+        return np.full((camera.height, camera.width, 3), self.light, np.uint8), seen
 
     def segment(self, rgb: UInt8Array, view: View | None = None) -> tuple[UInt8Array, Float32Array]:
         shape = rgb.shape[:2]
@@ -399,6 +401,19 @@ def test_with_a_frozen_camera_it_gives_up(monkeypatch: pytest.MonkeyPatch) -> No
     with pytest.raises(MissionAborted, match=r"^camera: .* change while the vehicle moves, .* frozen\?"):
         robot.observe()
     assert len(robot.picture_ages) == 1
+
+
+def test_a_dark_camera_is_trouble_and_shows_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = Scene()
+    robot = scene.robot(monkeypatch)
+    assert np.isfinite(robot.observe().depth).any()
+    scene.light, troubles = 0, []
+    for _ in range(RUNNING):
+        robot.go_to(GOAL)
+        seen = robot.observe()
+        troubles.append(seen.trouble)
+        assert np.isnan(seen.depth).all()
+    assert troubles == [""] * (RUNNING - 1) + ["the camera is dark: 0% of the usual light"]
 
 
 def test_contacts_of_a_stand_in_are_those_of_the_move(monkeypatch: pytest.MonkeyPatch) -> None:

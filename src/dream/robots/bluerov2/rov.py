@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -12,6 +12,7 @@ import numpy as np
 from dream.errors import MissionAborted
 from dream.geometry import SE2, SE3, Camera, FloatArray, camera_mount, wrap_angle
 from dream.perception import Account, Perception, View
+from dream.perception.lighting import Lighting
 from dream.protocol import SurveyProtocol
 from dream.robots.bluerov2.bridge import Bridge, Stance
 from dream.robots.bluerov2.limits import LOW_SHARE
@@ -156,6 +157,7 @@ class BlueRov2:
         self._homing_voltage = homing_voltage
         self._contacts = truth()[1] if truth is not None else 0
         self._arrived = now()
+        self._lighting = Lighting()
         self.picture_ages: list[float] = []
         """Seconds from each frame that was used to its use."""
         self.accounts: list[Account] = []
@@ -191,7 +193,7 @@ class BlueRov2:
         self.accounts.append(shows.account)
         shown = rgb if fine is camera else self._eye.view(picture, fine)[0]
         self._bridge.renew(self._manners.thinking)
-        return Observation(
+        told = Observation(
             time=picture.time,
             rgb=shown,
             depth=shows.depth,
@@ -203,6 +205,8 @@ class BlueRov2:
             error=shows.error,
             **self._battery(),
         )
+        told = self._lighting.seen(told)
+        return replace(told, trouble="; ".join(filter(None, (told.trouble, self._lighting.trouble))))
 
     def _battery(self) -> dict[str, Any]:
         """What an observation says of it."""
