@@ -222,8 +222,14 @@ def test_whoever_decides_is_led_home(reef: World, planner: str) -> None:
     assert at_home(steps[-1], (steps[0].observation.pose.x, steps[0].observation.pose.y))
 
 
-def test_until_it_turns_the_way_home_is_affordable_with_its_margin(reef: World) -> None:
-    steps = flown(reef, Budget(150.0))
+@pytest.fixture(scope="module")
+def turned(reef: World) -> list[Step]:
+    """A mission that has to turn back."""
+    return flown(reef, Budget(150.0))
+
+
+def test_until_it_turns_the_way_home_is_affordable_with_its_margin(turned: list[Step]) -> None:
+    steps = turned
     homes = [step.home for step in steps if step.home is not None]
     assert len(homes) == len(steps)
     before = [home for home in homes if not home.why]
@@ -235,12 +241,12 @@ def test_until_it_turns_the_way_home_is_affordable_with_its_margin(reef: World) 
     assert farther.balances[1].margin > before[0].balances[1].margin
 
 
-def test_it_turns_round_once_and_does_not_go_out_again(reef: World) -> None:
-    steps = flown(reef, Budget(150.0))
+def test_it_turns_round_once_and_does_not_go_out_again(turned: list[Step]) -> None:
+    steps = turned
     whys = [step.home.why if step.home else "" for step in steps]
-    turned = next(k for k, why in enumerate(whys) if why)
-    assert set(whys[turned:]) == {whys[turned]}
-    left = [home.balances[0].way for step in steps[turned + 1 :] if (home := step.home) is not None]
+    since = next(k for k, why in enumerate(whys) if why)
+    assert set(whys[since:]) == {whys[since]}
+    left = [home.balances[0].way for step in steps[since + 1 :] if (home := step.home) is not None]
     assert all(after <= before for before, after in pairwise(left))
 
 
@@ -288,7 +294,7 @@ def test_a_home_that_no_known_way_leads_to_is_where_it_began(reef: World) -> Non
 
 
 def test_a_mission_that_is_complete_ends_as_done_at_home(empty_world: World) -> None:
-    steps = flown(empty_world, Budget())
+    steps = flown(replace(empty_world, bounds=Bounds(-8.0, -8.0, 8.0, 8.0)), Budget())
     said = next(step for step in steps if step.decision.done and not step.open_region)
     last = steps[-1]
     assert last.ended == "done"
@@ -299,8 +305,10 @@ def test_a_mission_that_is_complete_ends_as_done_at_home(empty_world: World) -> 
 
 
 def test_one_that_need_not_go_home_flies_as_before(reef: World) -> None:
-    free = list(simulate(reef, Belief(), DREAM_V1, max_steps=30))
-    rich = flown(reef, Budget(1e6), max_steps=10_000)
+    free = list(simulate(reef, Belief(), DREAM_V1, max_steps=15))
+    rich = explore(
+        Teleport(reef, DREAM_V1), Belief(), OccupancyMap(reef.bounds, DREAM_V1), budget=Budget(1e6)
+    )
     assert all(step.home is None for step in free)
     for one, other in zip(free, rich, strict=False):
         assert one.decision == other.decision
@@ -371,6 +379,7 @@ def test_a_clock_that_goes_on_while_a_planner_thinks_counts_that_once(reef: Worl
 
 @pytest.mark.parametrize("until", [math.inf, 62.0], ids=["lasts", "passes"])
 @pytest.mark.parametrize("budget", [None, Budget(1e6)])
+@pytest.mark.few(2)
 def test_trouble_calls_a_mission_home_that_had_enough_left_even_if_it_passes(
     until: float, budget: Budget | None, reef: World
 ) -> None:

@@ -71,7 +71,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of a short run with orders, a site and a model."""
     where = tmp_path_factory.mktemp("run")
     write_mission(where / "half.json", "the western half", Orders((Leg(area=HALF),)))
-    line = ["run", "dream", "--model", "wire", "--world", "flat/empty", "--max-steps", "16", "--json"]
+    line = ["run", "dream", "--model", "wire", "--world", "flat/empty", "--max-steps", "8", "--json"]
     line += ["--budget-s", "1000", "--battery-wh", "100", "--tether-m", "100"]
     given = {
         "--out": where / "runs",

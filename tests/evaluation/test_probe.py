@@ -551,12 +551,10 @@ def test_questions_that_the_budget_does_not_pay_for_are_not_asked(
 @pytest.mark.parametrize("recorded", [True, False])
 def test_an_interrupted_probe_tells_what_was_answered_and_how_to_go_on(
     recorded: bool,
-    questions: list[MapQuestion],
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("dream.evaluation.probe.make_questions", lambda count, own: iter(questions[:count]))
     receive, received = Line.receive, itertools.count(1)
 
     def interrupted(*arguments: Any) -> Any:

@@ -112,7 +112,7 @@ def sagged(tmp_path_factory: pytest.TempPathFactory) -> Flown:
     return flown(tmp_path_factory.mktemp("sagged"), sags)
 
 
-@pytest.fixture(params=["low", "sagged"])
+@pytest.fixture(params=["low", pytest.param("sagged", marks=pytest.mark.rare)])
 def called_home(request: pytest.FixtureRequest) -> Flown:
     found: Flown = request.getfixturevalue(request.param)
     return found
@@ -130,7 +130,7 @@ def test_with_a_fifth_of_its_charge_left_it_goes_home(low: Flown) -> None:
     assert min(volts for time, volts, _ in low.told if began < time < ended) > 13.4
 
 
-@pytest.mark.slow
+@pytest.mark.rare
 def test_with_a_voltage_that_sags_under_load_it_goes_home_while_charge_is_left(sagged: Flown) -> None:
     turned = sagged.turned()
     assert turned.home is not None
@@ -185,7 +185,7 @@ def test_all_are_told_why_it_came_home(called_home: Flown, capsys: pytest.Captur
     assert why in (called_home.folder / "report.html").read_text(encoding="utf-8")
 
 
-@pytest.mark.slow
+@pytest.mark.rare
 def test_a_mission_that_goes_home_is_there_before_its_minutes_are_over(tmp_path: Path) -> None:
     minutes = 1.25
     dived = flown(
