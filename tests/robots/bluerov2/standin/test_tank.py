@@ -88,7 +88,7 @@ def test_thrust_goes_with_the_voltage_and_the_voltage_with_thrust(pool: World) -
 
 def test_a_battery_rests_where_its_cells_do() -> None:
     battery = Battery()
-    assert (battery.full, battery.empty) == pytest.approx((16.8, 10.0))
+    assert (battery.full, battery.empty) == pytest.approx((16.68, 10.0))
     # By the table of the cell: 3.4193 V at 13.57 % and 3.5826 V at 29.15 %.
     assert battery.at_rest(0.2) == pytest.approx(4 * 3.4867, abs=1e-3)
     assert battery.at_rest(0.5) == pytest.approx(4 * 3.740, abs=0.01)
@@ -112,7 +112,7 @@ def test_what_is_left_of_a_battery_is_taken_from_it(pool: World) -> None:
     assert tank.used == pytest.approx(0.75 * 18.0)
     with pytest.raises(ValueError, match=r"share: expected 0 to 1, got 1\.2"):
         tank.leave(1.2)
-    with pytest.raises(ValueError, match=r"volts: expected 10 to 16\.8, got 17"):
+    with pytest.raises(ValueError, match=r"volts: expected 10 to 16\.68, got 17"):
         tank.drain(17.0)
 
 

@@ -42,13 +42,14 @@ OPEN_CIRCUIT = np.array(
         (0.4523, 3.6941),
         (0.8392, 4.0664),
         (0.9548, 4.1121),
-        (1.0, 4.2),
+        (1.0, 4.17),
     ]
 ).T
 """(2, 10): share of the charge that is left, and volts of a cell at rest then. Of a Samsung INR21700-40T at
 C/20, in the breakpoints that Sunil, Pattipati and Balasingam find for straight lines between them (*Piecewise
 Linear Approximation of Battery Open-Circuit Voltage Characteristics Using Dynamic Programming*, IEEE
-Transactions on Instrumentation and Measurement 2025; github.com/soorajsunil/Piecewise-Battery-OCV)."""
+Transactions on Instrumentation and Measurement 2025; github.com/soorajsunil/Piecewise-Battery-OCV). The last
+point there is where charging ends, 4.2 V; that a cell rests at 4.17 V after it is an assumption."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,10 +58,9 @@ class Battery:
 
     What it does: the voltage at rest follows `OPEN_CIRCUIT`, and under load it is lower by the current times
     a resistance. Thrusters draw what the maker's table says at 16 V.
-    Reference: Blue Robotics' battery of 18 Ah, four times six cells of 18650, 16.8 V at most. Who makes them
-    is not told: that they are like those of the table is an assumption (another that the same authors
-    measured, a Molicel INR21700-P42A, is within 0.03 V of them from 5 % on). So is the resistance, with the
-    wiring.
+    Reference: Blue Robotics' battery of 18 Ah, four times six cells of 18650. Who makes them is not told:
+    that they are like those of the table is an assumption (another that the same authors measured, a Molicel
+    INR21700-P42A, is within 0.03 V of them from 5 % on). So is the resistance, with the wiring.
     """
 
     charge: float = 18.0
