@@ -59,7 +59,7 @@ setup-ray setup-train setup-checkers setup-perf: setup-%:
 # tests of what must happen within half a second can fail.
 test: export OPENBLAS_NUM_THREADS := 1
 test: setup-dev ## Run the tests, and list what was skipped
-	@$(BIN)/pytest -n 3 --dist loadscope -rfEs
+	@$(BIN)/pytest -n 3 --dist loadscope --no-loadscope-reorder -rfEs
 
 test-slow: export OPENBLAS_NUM_THREADS := 1
 test-slow: setup-dev ## Run what `make test` leaves out: all faults, every processor, new examples, checked indices
