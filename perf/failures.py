@@ -35,8 +35,8 @@ from dream.sim.vehicle import BLUEROV2, BLUEROV2_HEAVY
 from dream.vehicle import Fault, FaultKind, PartFault, ThrusterFault, VehiclePart
 
 VEHICLES = {"heavy": BLUEROV2_HEAVY, "bluerov2": BLUEROV2}
-SOON = 3.0
-"""Seconds within which a fault should be named."""
+SOON = {"thruster": 3.0, "part": 20.0, "nothing": 3.0}
+"""Seconds within which a fault should be named; that of a part is told at the end of a move."""
 DRAWN = (5.0, 60.0)
 """Seconds of the mission within which something fails."""
 SEED = 900_047
@@ -180,9 +180,18 @@ def kind_of(one: Swum) -> str:
     return one.fault.partition("@")[0].partition(":")[0]
 
 
-def told(swum: list[Swum]) -> str:
+def told(swum: list[Swum], fails: str) -> str:
     """A table by kind of fault, and what healthy swimming came to."""
-    heads = ("kind", "missions", f"named in {SOON:g} s", "wrongly", "never", "contacts", "home", "surfaced")
+    heads = (
+        "kind",
+        "missions",
+        f"named in {SOON[fails]:g} s",
+        "wrongly",
+        "never",
+        "contacts",
+        "home",
+        "surfaced",
+    )
     lines = ["{:>8} {:>8} {:>22} {:>8} {:>6} {:>9} {:>22} {:>8}".format(*heads)]
     kinds = sorted({kind_of(one) for one in swum if one.fault})
     for kind in (*kinds, "all"):
@@ -191,7 +200,7 @@ def told(swum: list[Swum]) -> str:
             one.named_s - one.shown_s if one.named_s is not None and one.shown_s is not None else math.inf
             for one in some
         ]
-        soon = [one.rightly and 0.0 <= delay <= SOON for one, delay in zip(some, delays, strict=True)]
+        soon = [one.rightly and 0.0 <= delay <= SOON[fails] for one, delay in zip(some, delays, strict=True)]
         lines.append(
             f"{kind:>8} {len(some):8} {share(soon):>22} "
             f"{sum(bool(one.named) and not one.rightly for one in some):8} "
@@ -249,7 +258,7 @@ def main() -> int:
                 f"{one.contacts_before} and {one.contacts_after} contacts",
                 flush=True,
             )
-    print(told([one for one in kept if is_like(one)]))
+    print(told([one for one in kept if is_like(one)], given.fails))
     return 0
 
 

@@ -7,12 +7,13 @@ import pytest
 
 from dream.geometry import SE3, Camera, camera_mount
 from dream.mapping import OccupancyMap
-from dream.perception.lighting import RUNNING, Lighting, brightness, untold
+from dream.perception.lighting import KNOWN, RUNNING, Lighting, brightness, untold
 from dream.protocol import DREAM_V1
 from dream.robots import Teleport
 from dream.sim.world import World
 from dream.types import Label, Observation
 
+SEEN = [100.0] * KNOWN
 CAMERA = Camera(width=8, height=6, fx=4.0, fy=4.0, cx=4.0, cy=3.0)
 
 
@@ -41,15 +42,18 @@ def watched(*levels: float) -> Lighting:
     ("levels", "trouble"),
     [
         ([100.0] * 30, ""),
-        ([100.0, 100.0, *[24.0] * RUNNING], "the lamp is out: 24% of the usual light"),
-        ([100.0, 100.0, *[24.0] * (RUNNING - 1)], ""),
-        ([100.0, *[26.0] * 10], ""),
-        ([100.0, *[0.0] * RUNNING], "the camera is dark: 0% of the usual light"),
-        ([0.0] * RUNNING, "the camera is dark: no light"),
-        ([100.0, 10.0, 10.0, 90.0, 10.0, 10.0, 90.0], ""),
-        ([100.0, *[10.0] * RUNNING, 100.0], "the lamp is out: 10% of the usual light"),
+        ([*SEEN, *[24.0] * RUNNING], "the lamp is out: 24% of the usual light"),
+        ([*SEEN, *[24.0] * (RUNNING - 1)], ""),
+        ([*SEEN, *[26.0] * 10], ""),
+        ([*SEEN, *[0.0] * RUNNING], "the camera is dark: 0% of the usual light"),
+        ([100.0, *[8.0] * RUNNING], "the camera is dark: from the first pictures on"),
+        ([0.0] * RUNNING, "the camera is dark: from the first pictures on"),
+        ([*SEEN, 20.0, 20.0, 90.0, 20.0, 20.0, 90.0], ""),
+        ([*SEEN, *[20.0] * RUNNING, 100.0], "the lamp is out: 20% of the usual light"),
+        # One picture of glare is no usual light.
+        ([250.0, *[60.0] * 10], ""),
         # It goes by day: half in ten pictures.
-        ([200.0 * 0.93**k for k in range(50)], ""),
+        ([200.0 * 0.93**k for k in range(35)], ""),
     ],
 )
 def test_trouble_is_what_stays_dark(levels: list[float], trouble: str) -> None:
@@ -64,8 +68,8 @@ def test_a_picture_counts_once_however_often_it_is_looked_at() -> None:
 
 
 def test_of_a_dark_picture_nothing_is_believed_and_of_others_all() -> None:
-    lighting = watched(100.0)
-    bright, dark = picture(90.0, 1.0), picture(10.0, 2.0)
+    lighting = watched(*SEEN)
+    bright, dark = picture(90.0, 11.0), picture(20.0, 12.0)
     assert lighting.seen(bright) is bright
     told = lighting.seen(dark)
     assert told.rgb is dark.rgb

@@ -12,8 +12,10 @@ from dream.types import Label, Observation, UInt8Array
 
 BRIGHT = 90.0
 """Percentile of a picture's brightness that counts: what is nearest has the most light."""
-BLACK = 4.0
-"""Of 255: below that the brightest shows nothing, whatever the light."""
+BLACK = 12.0
+"""Of 255: below that the brightest shows nothing but the camera's own noise, whatever the light."""
+KNOWN = 4
+"""Pictures after which it is known what is usual: as many as a mission first looks around by."""
 DIM = 0.25
 """Share of the usual brightness below which a picture is dark."""
 REMEMBERED = 20
@@ -33,8 +35,8 @@ class Lighting:
 
     What it does: a picture is dark where it is black, or has less than `DIM` of the median brightness of
     those before it that were not. Of a dark one nothing is believed. `RUNNING` of them on end are trouble.
-    Fails when: light goes slowly, over more pictures than it remembers; or a vehicle that brings its own
-    light looks into open water for so long.
+    Fails when: light goes slowly, over more pictures than it remembers; a vehicle that brings its own light
+    looks into open water for so long, or its pilot dims it. In dim water a lamp that is out leaves black.
     """
 
     trouble: str = ""
@@ -48,7 +50,8 @@ class Lighting:
     def seen(self, seen: Observation) -> Observation:
         """The observation with what may be believed of it; one of the same time as the last counts once."""
         bright = brightness(seen.rgb)
-        usual = statistics.median(self._usual) if self._usual else bright
+        known = len(self._usual) >= KNOWN
+        usual = statistics.median(self._usual) if known else bright
         black = bright < BLACK
         dark = black or bright < DIM * usual
         if seen.time != self._time:
@@ -57,7 +60,7 @@ class Lighting:
             if not dark:
                 self._usual.append(bright)
             if self._dark >= RUNNING and not self.trouble:
-                share = f"{bright / usual:.0%} of the usual light" if usual > 0.0 else "no light"
+                share = f"{bright / usual:.0%} of the usual light" if known else "from the first pictures on"
                 self.trouble = f"the camera is dark: {share}" if black else f"the lamp is out: {share}"
         return untold(seen) if dark else seen
 

@@ -18,7 +18,7 @@ from dream.sim.sensors import _kernels as sensors
 from dream.sim.vehicle import _kernels as water
 from dream.vehicle._kernels import SAG_OHM, PackedFault, obeyed, thrust, watts
 from dream.vehicle.power import AMPERES_POWER
-from dream.vehicle.thrusters import TABLE_VOLTAGE, VOLTAGE_POWER
+from dream.vehicle.thrusters import VOLTAGE_POWER
 
 Float64Array = npt.NDArray[np.float64]
 
@@ -45,21 +45,19 @@ SETTLES = 0.05
 """Seconds in which the voltage follows the load: what speed controllers hold in their capacitors."""
 SAG_TIME = 3.0
 """Seconds over which the voltage is smoothed: a burst of thrust is no sag."""
-STUCK_READINGS, STUCK_RISE = 2, 0.06
-"""A gauge is stuck that reads the same so often on end, to the bit, while the estimate rises or sinks by so
-many metres: what a reading errs by is a tenth of that."""
-STUCK_STILL = 15
-"""Readings on end that are the same by which a gauge is stuck, whatever moves: one in five is by chance."""
+ALIKE_AT_LEAST = 2
+"""Readings that are the same as the one before, on end, before a gauge can be stuck."""
 
 # What `Voyage.clock` holds.
-CLOCK = 22
+CLOCK = 24
 TIME, NEXT_PING, ARRIVES, SENT, ABOVE, LAST_DVL, LAST_DEPTH, LAST_IMU = range(8)
 SEABED, DISTANCE, WAY, CLEARANCE, CONDITION, DRAWN, FAILED = range(8, 15)
-VOLTS, MEAN_VOLTS, SAGGED, READING, ALIKE, RISEN, STUCK = range(15, CLOCK)
+VOLTS, MEAN_VOLTS, LEAST_VOLTS, READING, HEARD, ALIKE, RISEN, STUCK, SILENT = range(15, CLOCK)
 """`DISTANCE` is over ground, `WAY` through the water, heights counted; `DRAWN` is in joules, and `FAILED` is
-when a thruster first gave another force than it was commanded. `VOLTS` are the battery's, and `MEAN_VOLTS`
-smoothed; `SAGGED` is when those first were low. `READING` is the gauge's last, `ALIKE` counts those before it
-that were the same, `RISEN` is by how many metres the estimate rose since; `STUCK` is when that was found."""
+when a thruster first gave another force than it was commanded. `VOLTS` are the battery's, `MEAN_VOLTS` are
+smoothed, and `LEAST_VOLTS` their least. `READING` is the gauge's last and `HEARD` when it came; `ALIKE`
+counts those before it that were the same, `RISEN` is by how many metres the estimate rose since; `STUCK` and
+`SILENT` are when the gauge was found to be so."""
 
 
 class Ship(NamedTuple):
@@ -97,8 +95,11 @@ class Ship(NamedTuple):
     nominal: control.Nominal
     plant: diagnosis.Plant
     limits: control.Limits
-    low_volts: float
-    """Of the battery, smoothed, below which it sags."""
+    stuck_rise: float
+    stuck_readings: float
+    """See `sim.sensors.PressureGauge`."""
+    rest_volts: float
+    """Of the battery, without load."""
     watt_commands: Float64Array
     """Commands at the points of what a thruster draws,"""
     watt_roots: Float64Array
@@ -174,18 +175,17 @@ def sag(ship: Ship, clock: Float64Array, drawn: float) -> float:
     Args:
         ship: Its curves of thrust are changed, true and believed.
         clock: Changed.
-        drawn: W of the thrusters at the table's voltage.
+        drawn: W of the thrusters at the voltage without load.
 
     Returns:
         W that they and all else draw at this voltage.
     """
-    drawn = ship.hotel + drawn * (clock[VOLTS] / TABLE_VOLTAGE) ** (1.0 + AMPERES_POWER)
+    drawn = ship.hotel + drawn * (clock[VOLTS] / ship.rest_volts) ** (1.0 + AMPERES_POWER)
     amperes = drawn / clock[VOLTS]
     before = clock[VOLTS]
-    clock[VOLTS] += ship.dt / SETTLES * (max(TABLE_VOLTAGE - SAG_OHM * amperes, 1.0) - clock[VOLTS])
+    clock[VOLTS] += ship.dt / SETTLES * (max(ship.rest_volts - SAG_OHM * amperes, 1.0) - clock[VOLTS])
     clock[MEAN_VOLTS] += ship.dt / SAG_TIME * (clock[VOLTS] - clock[MEAN_VOLTS])
-    if clock[MEAN_VOLTS] < ship.low_volts:
-        clock[SAGGED] = min(clock[SAGGED], clock[TIME])
+    clock[LEAST_VOLTS] = min(clock[LEAST_VOLTS], clock[MEAN_VOLTS])
     factor = (clock[VOLTS] / before) ** (0.5 * VOLTAGE_POWER)
     for k in range(len(ship.body.roots)):
         ship.body.roots[k] *= factor
@@ -243,11 +243,16 @@ def feel(ship: Ship, voyage: Voyage, before: Float64Array, rng: np.random.Genera
         if now >= ship.sticks_at and not math.isnan(clock[READING]):
             z = clock[READING]
         if not sensors.silent(ship.outages, sensors.DEPTH, now):
-            if z == clock[READING]:
+            # Of what moved while nothing was heard, equal readings say nothing.
+            follows = now - clock[HEARD] < 1.5 * ship.depth_every * ship.dt
+            if z == clock[READING] and follows:
                 clock[ALIKE] += 1.0
             else:
                 clock[ALIKE] = clock[RISEN] = 0.0
-            clock[READING] = z
+            moves = clock[ALIKE] >= ALIKE_AT_LEAST and abs(clock[RISEN]) > ship.stuck_rise
+            if moves or clock[ALIKE] >= ship.stuck_readings:
+                clock[STUCK] = min(clock[STUCK], now)
+            clock[READING], clock[HEARD] = z, now
             if clock[STUCK] > now:
                 sample[6] = z
                 clock[LAST_DEPTH] = now
@@ -347,6 +352,8 @@ def fly(
                 position_sigma(s),
             )
             clock[CONDITION] = max(clock[CONDITION], condition)
+            if now - clock[HEARD] > 10.0 * ship.limits.stale:
+                clock[SILENT] = min(clock[SILENT], now)
             if condition >= control.DIVERGED:
                 return s, at_ping, GIVEN_UP, beat
         target[0], target[1], target[3] = goal[0], goal[1], goal[2]
@@ -396,8 +403,6 @@ def fly(
             clock[SEABED] += min(period / SEABED_TIME, 1.0) * (seabed - clock[SEABED])
         s = carried(ship, s, sample)
         clock[RISEN] += ship.dt * s.velocity[2]
-        if clock[ALIKE] >= STUCK_STILL or (clock[ALIKE] >= STUCK_READINGS and abs(clock[RISEN]) > STUCK_RISE):
-            clock[STUCK] = min(clock[STUCK], now)
         if sent >= 0:
             if sent < MOST_BEATS:
                 voyage.since[sent] = sample

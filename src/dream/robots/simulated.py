@@ -42,7 +42,6 @@ from dream.sim.world import World
 from dream.types import Arrival, Observation, Setpoint
 from dream.vehicle import GRAVITY, HOTEL_W, Fault, PartFault, ThrusterFault, VehiclePart, light, watt_points
 from dream.vehicle._kernels import NO_FAULT
-from dream.vehicle.thrusters import TABLE_VOLTAGE
 
 BEAT = 0.01
 """Seconds of water, inertial unit, estimate and autopilot."""
@@ -88,8 +87,7 @@ class Motion:
     fault: Fault | None = None
     """Of one of its thrusters or parts, of which the autopilot is not told."""
     low_volts: float = 14.4
-    """Of its battery, under load and smoothed over 3 s, below which it sags: four cells of 3.6 V, where a
-    lithium cell has a tenth of its charge."""
+    """Of its battery, under load and smoothed over 3 s, below which it sags, as a BlueROV2 is called home."""
     near: float = 0.05
     """Metres from a setpoint, by the estimate, that count as there."""
     aligned: float = math.radians(2.0)
@@ -104,8 +102,8 @@ class Motion:
         for name in ("near", "aligned", "slow"):
             if not 0.0 < getattr(self, name) < math.inf:
                 raise ValueError(f"{name}: expected a tolerance above 0, got {getattr(self, name)}")
-        if not 0.0 < self.low_volts < TABLE_VOLTAGE:
-            raise ValueError(f"low_volts: expected 0 to {TABLE_VOLTAGE:g} V, got {self.low_volts}")
+        if not 0.0 < self.low_volts < math.inf:
+            raise ValueError(f"low_volts: expected a voltage above 0, got {self.low_volts}")
         for name, rate in (("gauge", self.gauge.rate), ("compass", self.compass.rate)):
             every = 1.0 / (rate * BEAT)
             if every < 1.0 - 1e-9 or abs(every - round(every)) > 1e-6:
@@ -361,13 +359,13 @@ class Simulated:
 
     def _look_over(self) -> None:
         """Name what the loop has found wrong with battery and depth sensor."""
-        clock, stale = self._voyage.clock, 10.0 * self._motion.watch.stale
-        if math.isfinite(clock[_kernels.SAGGED]):
-            volts = min(float(clock[_kernels.MEAN_VOLTS]), self._motion.low_volts)
+        clock = self._voyage.clock
+        volts = float(clock[_kernels.LEAST_VOLTS])
+        if volts < self._motion.low_volts:
             self.ailing.setdefault(VehiclePart.SAG, f"the battery sags to {volts:.1f} V")
         if math.isfinite(clock[_kernels.STUCK]):
             self.ailing.setdefault(VehiclePart.GAUGE, "the depth sensor is stuck")
-        elif clock[_kernels.TIME] - clock[_kernels.LAST_DEPTH] > stale:
+        if math.isfinite(clock[_kernels.SILENT]):
             self.ailing.setdefault(VehiclePart.GAUGE, "the depth sensor is silent")
 
 
@@ -431,7 +429,9 @@ def _launched(
         nominal=nominal(motion.vehicle.slowest, motion.vehicle.thrusters),
         plant=motion.diagnosis.plant(motion.vehicle.slowest, motion.vehicle.thrusters),
         limits=motion.watch.limits,
-        low_volts=float(motion.low_volts),
+        stuck_rise=motion.gauge.stuck_rise,
+        stuck_readings=float(motion.gauge.stuck_readings),
+        rest_volts=float(truth.thrusters.voltage),
         watt_commands=watt_commands,
         watt_roots=watt_roots,
         hotel=HOTEL_W,
@@ -441,8 +441,8 @@ def _launched(
     )
     clock = np.zeros(_kernels.CLOCK)
     clock[_kernels.SENT], clock[_kernels.SEABED] = -1.0, seabed
-    clock[[_kernels.FAILED, _kernels.SAGGED, _kernels.STUCK]] = math.inf
-    clock[[_kernels.VOLTS, _kernels.MEAN_VOLTS]] = TABLE_VOLTAGE
+    clock[[_kernels.FAILED, _kernels.STUCK, _kernels.SILENT]] = math.inf
+    clock[[_kernels.VOLTS, _kernels.MEAN_VOLTS, _kernels.LEAST_VOLTS]] = truth.thrusters.voltage
     clock[_kernels.READING] = math.nan
     voyage = _kernels.Voyage(
         x=x.vector,

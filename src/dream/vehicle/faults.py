@@ -79,7 +79,7 @@ class VehiclePart(enum.StrEnum):
     """Its pictures are black."""
 
 
-LAMP_LEFT = 0.08
+LAMP_LEFT = 0.15
 """Of the light, by day, without a lamp. Assumption."""
 
 

@@ -413,7 +413,7 @@ def test_a_dark_camera_is_trouble_and_shows_nothing(monkeypatch: pytest.MonkeyPa
         seen = robot.observe()
         troubles.append(seen.trouble)
         assert np.isnan(seen.depth).all()
-    assert troubles == [""] * (RUNNING - 1) + ["the camera is dark: 0% of the usual light"]
+    assert troubles == [""] * (RUNNING - 1) + ["the camera is dark: from the first pictures on"]
 
 
 def test_contacts_of_a_stand_in_are_those_of_the_move(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -228,7 +228,12 @@ class Flight:
 
         budget = self.ready.told.homing.budget()
         if budget is not None:
-            budget = replace(budget, seconds=min(budget.seconds, math.floor(bridge.seconds_left)))
+            left = max(math.floor(bridge.seconds_left), 1)
+            budget = replace(budget, seconds=min(budget.seconds, left))
+            try:
+                budget.check(self.ready.limits.area, self.ready.protocol)
+            except ValueError as error:
+                raise MissionAborted(f"--minutes: the launch left {left} s: {error}") from None
             # A replay has to turn home where the dive does.
             write_config(self.ready.folder, config(self.ready, self.name, budget))
         return budget

@@ -95,6 +95,7 @@ def findings(
     room = 60.0 * limits.minutes * LOGGED
     free = shutil.disk_usage(folder).free
     rate = seen.frames / seen.seconds if seen.seconds > 0.0 else 0.0
+    lasted = math.inf if math.isnan(telemetry.sagged) else telemetry.sagged
     return [
         Finding(
             "link",
@@ -139,8 +140,8 @@ def findings(
         _depth(telemetry, zeroed_here=zeroed_here),
         Finding(
             "battery",
-            telemetry.voltage >= limits.homing_voltage and not telemetry.battery <= LOW_SHARE,
-            battery_told(telemetry),
+            min(telemetry.voltage, lasted) >= limits.homing_voltage and not telemetry.battery <= LOW_SHARE,
+            battery_told(telemetry) + (f", {lasted:.1f} V for 3 s" if lasted < limits.homing_voltage else ""),
             f"{limits.homing_voltage:g} V or more, and above {LOW_SHARE:.0%} where it tells that: with less "
             "the mission would go home at once",
         ),

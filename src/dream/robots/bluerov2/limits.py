@@ -13,7 +13,8 @@ SAG = 3.0
 RESERVE = 0.4
 """Volts above that limit, 0.1 a cell, below which a mission goes home: what is between has to bring it there.
 From 3.6 to 3.5 V a cell at rest that is a tenth of the charge (`standin.tank.OPEN_CIRCUIT`), 1.9 Ah: some
-sixteen minutes at 100 W, in which a BlueROV2 comes farther at 0.5 m/s than its tether reaches."""
+sixteen minutes at 100 W, in which a BlueROV2 comes farther at 0.5 m/s than its tether reaches. Below 3.4 V a
+cell it is a thirtieth, five minutes."""
 LOW_SHARE = 0.2
 """Share of the battery's charge at which it does, where the vehicle tells that."""
 

@@ -68,6 +68,21 @@ class PressureGauge:
         """Metres: noise and rounding, which is what it reports; zero and density it does not know of."""
         return math.sqrt(self.noise**2 + self.resolution**2 / 12.0)
 
+    @property
+    def stuck_rise(self) -> float:
+        """Metres that it rises or sinks while readings are the same, to the bit, by which it is stuck."""
+        return 20.0 * self.sigma
+
+    @property
+    def stuck_readings(self) -> float:
+        """Readings that are the same as the one before, on end, by which it is stuck, whatever moves.
+
+        In the middle of a step of its resolution a reading is the same again with a probability of
+        erf(resolution / (√8 noise)); so many are by chance once in 10^11. Infinite without noise.
+        """
+        again = math.erf(self.resolution / (math.sqrt(8.0) * self.noise)) if self.noise > 0.0 else 1.0
+        return math.ceil(math.log(1e-11) / math.log(again)) if again < 1.0 else math.inf
+
     def begin(self, rng: np.random.Generator) -> Float64Array:
         """(2,) zero in metres and share of the density that a mission begins with."""
         return np.array([self.zero, self.density_error]) * rng.standard_normal(2)
