@@ -57,4 +57,5 @@ def flat_water(free: npt.NDArray[np.bool_], corner: tuple[float, float], cell: f
     from dream.mapping._kernels.strings import FreeWater
 
     low, sides = np.array([*corner, -ENDLESS]), np.array([cell, cell, 2.0 * ENDLESS])
-    return FreeWater(np.ascontiguousarray(free[None]).view(np.uint8), low, sides)
+    # A copy: for arrays that may not be written to, all kernels would be compiled once more.
+    return FreeWater(np.array(free[None], np.uint8), low, sides)
