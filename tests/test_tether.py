@@ -156,14 +156,14 @@ def test_it_lets_nobody_wind_it_beyond_the_limit(empty_world: World, monkeypatch
     monkeypatch.setattr(tether, "free_water", lambda occupancy: pillar(2.0))
     occupancy = OccupancyMap(empty_world.bounds, DREAM_V1)
     start = (0.0, -4.0, 0.0)
-    held = TetherKeeper(100.0, start, Strand.at(start))
+    held = TetherKeeper(100.0, start)
     once = [Decision(math.radians(30.0), 2.0)] * 12
     pose = SE2(0.0, -4.0, -math.radians(30.0))
     lies = held.along(once, held.strand, pose, 0.0, occupancy)
     assert lies is not None
     assert 0.4 < lies[-1].turns < MOST_TURNS
     assert held.along(2 * once, held.strand, pose, 0.0, occupancy) is None
-    long = TetherKeeper(12.0, start, Strand.at(start))
+    long = TetherKeeper(12.0, start)
     assert long.along(once, long.strand, pose, 0.0, occupancy) is None
 
 

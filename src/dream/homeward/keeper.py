@@ -89,7 +89,7 @@ class Homeward:
         budget.check_from(*start[:2])
         tether = None
         if math.isfinite(budget.tether_m):
-            tether = TetherKeeper(budget.tether_m, start, Strand.at(start))
+            tether = TetherKeeper(budget.tether_m, start)
             occupancy.hold(tether.leash)
         return cls(budget, start, first, cap, ticking=ticking, tether=tether)
 

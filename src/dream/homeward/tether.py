@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import heapq
 import math
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -14,7 +13,7 @@ from dream.control import guard
 from dream.geometry import SE2, FloatArray
 from dream.homeward.budget import SLACK
 from dream.homeward.pace import DEVIATIONS
-from dream.homeward.ways import Place, after, way_home
+from dream.homeward.ways import Place, after, move_to, node_of, places, way_home
 from dream.mapping.leash import Leash, flat_water
 from dream.types import Balance, BoolArray, Decision, Observation, Reasoning
 
@@ -30,12 +29,10 @@ SLACK_TURNS = 0.1
 BEND = 0.25
 """Metres: what bends it aside by less is no bend, but the map's cells."""
 BESIDE = 1.0
-"""Metres from the tether to which the way back along it keeps."""
-MOST_PULLED = 100
-"""Poses from which every move is tried to find a way back on which the tether changes no side of anything."""
-EAGER = 1.5
-"""Steps that one step's length of tether counts for in that search: above 1 it finds a way sooner, that may
-be a little longer."""
+"""Metres from the trail to which the way back along it keeps."""
+PIECES = (1, 2, 4, 8, 16)
+"""Into which the trail is cut one after the other, until a way back is found along which all of the tether
+comes in: where a trail passes itself, a way along the whole of it leaves out a loop."""
 ROUGH = 0.5
 """Metres by which what planners are told falls short of it: it is no finer than the cells of the map."""
 HOME = 1.0
@@ -68,10 +65,15 @@ class Strand:
 
         return Strand(tighten(water, np.vstack([self.points, place])))
 
+    def then(self, place: Place) -> Strand:
+        """With a place more, not pulled taut."""
+        return Strand(np.vstack([self.points, place]))
+
     @property
     def length(self) -> float:
         """Metres that are out."""
-        return float(np.linalg.norm(np.diff(self.points, axis=0), axis=1).sum())
+        points = self.points.tolist()
+        return math.fsum(map(math.dist, points, points[1:]))
 
     @property
     def turns(self) -> float:
@@ -80,6 +82,16 @@ class Strand:
         along /= np.linalg.norm(along, axis=1)[:, None]
         cosines = (along[:-1] * along[1:]).sum(axis=1)
         return float(np.arccos(np.clip(cosines, -1.0, 1.0)).sum() / (2.0 * math.pi))
+
+    def pieces(self, count: int) -> list[Strand]:
+        """So many that are alike long, from the anchor on."""
+        along = np.concatenate([[0.0], np.linalg.norm(np.diff(self.points, axis=0), axis=1).cumsum()])
+        cuts = np.linspace(0.0, along[-1], count + 1)
+        ends = np.stack([np.interp(cuts, along, axis) for axis in self.points.T], axis=1)
+        return [
+            Strand(np.vstack([ends[k], self.points[(along > cuts[k]) & (along < cuts[k + 1])], ends[k + 1]]))
+            for k in range(count)
+        ]
 
     def beside(self, points: FloatArray, water: FreeWater, reach: float) -> BoolArray:
         """Which of (n, 3) points lie so many metres beside it, with free water in between."""
@@ -120,7 +132,11 @@ class TetherKeeper:
 
     metres: float
     anchor: Place
-    strand: Strand
+    strand: Strand = field(init=False)
+    """How it lies."""
+    trail: Strand = field(init=False)
+    """The last way on which all of it would have come in, and the way from there: one of the body, at
+    the side of the tether, which itself passes where the body does not fit."""
     sigma: float = 0.0
     """Metres by which the position may err."""
     plan: list[tuple[SE2, float, Decision]] = field(default_factory=list)
@@ -128,6 +144,9 @@ class TetherKeeper:
     to and fro."""
     _goal: Place | None = None
     """Where that ends."""
+
+    def __post_init__(self) -> None:
+        self.strand = self.trail = Strand.at(self.anchor)
 
     @property
     def leash(self) -> Leash:
@@ -146,7 +165,9 @@ class TetherKeeper:
     def went(self, move: Decision, seen: Observation, sigma: float, occupancy: OccupancyMap) -> None:
         """The vehicle has made a move, straight to where it is."""
         self.sigma = sigma
-        self.strand = self.strand.to(self.place(seen.pose, seen.z, occupancy), free_water(occupancy))
+        place = self.place(seen.pose, seen.z, occupancy)
+        self.strand = self.strand.to(place, free_water(occupancy))
+        self.trail = self.trail.then(place)
         planned = self.plan[0][2] if self.plan else None
         self.plan = self.plan[1:] if planned == replace(move, reasoning=Reasoning(), waited=0.0) else []
 
@@ -217,75 +238,87 @@ class TetherKeeper:
 
         Args:
             strand: How it lies.
-            pose: From where.
+            pose: From where: here, or one move on.
             z: At which height.
             occupancy: What is known.
             goal: Where to.
         """
-        back = self._way_back(strand, pose, z, occupancy)
         if goal == self.anchor:
-            return back
-        lies = [strand]
-        if back:
-            lies += self.along(back, strand, pose, z, occupancy) or []
-        for k, there in enumerate(lies):
-            on = way_home(pose, z, occupancy, goal)
-            if on is not None and self.along(on, there, pose, z, occupancy) is not None:
-                return [*(back or [])[:k], *on]
-            if back and k < len(back):
-                pose, z = after(pose, z, back[k], occupancy)
+            back = self._way_back(strand, pose, z, occupancy)
+            return None if back is None else back[0]
+        if (on := self._way_on(strand, pose, z, occupancy, goal)) is not None:
+            return on
+        moves, lies = self._way_back(strand, pose, z, occupancy) or ([], [])
+        for k, strand in enumerate(lies):
+            pose, z = after(pose, z, moves[k], occupancy)
+            if (on := self._way_on(strand, pose, z, occupancy, goal)) is not None:
+                return [*moves[: k + 1], *on]
         return None
+
+    def _way_on(
+        self, strand: Strand, pose: SE2, z: float, occupancy: OccupancyMap, goal: Place
+    ) -> list[Decision] | None:
+        """The shortest way, where the tether allows it."""
+        moves = way_home(pose, z, occupancy, goal)
+        allowed = moves is not None and self.along(moves, strand, pose, z, occupancy) is not None
+        return moves if allowed else None
 
     def _way_back(
         self, strand: Strand, pose: SE2, z: float, occupancy: OccupancyMap
-    ) -> list[Decision] | None:
-        """Along the tether; where nothing leads along it, the shortest way that it allows."""
-        beside = partial(strand.beside, water=free_water(occupancy), reach=BESIDE)
-        moves = way_home(pose, z, occupancy, self.anchor, beside)
+    ) -> tuple[list[Decision], list[Strand]] | None:
+        """A way on which nothing of it stays out; where none is known, the shortest that it allows. And how
+        the tether lies after each move.
+
+        The way leads beside the tether, or beside the trail; from here it is the trail from then on.
+        """
+        here = self.place(pose, z, occupancy)
+        trail = self.trail.then(here)
+        # One after the other, each looked for only where those before lead nowhere.
+        ways = [
+            partial(self._way_along, strand, 1),
+            *(partial(self._way_along, trail, pieces) for pieces in PIECES),
+            partial(self._as_it_came, trail),
+        ]
+        for way in ways:
+            moves = way(pose, z, occupancy)
+            lies = None if moves is None else self.along(moves, strand, pose, z, occupancy)
+            if moves is not None and lies is not None and [strand, *lies][-1].length <= HOME:
+                if strand is self.strand:
+                    ahead = places(pose, here[2], moves, occupancy)
+                    self.trail = Strand(np.array([self.anchor, *ahead[::-1], here]))
+                return moves, lies
+        moves = way_home(pose, z, occupancy, self.anchor)
         lies = None if moves is None else self.along(moves, strand, pose, z, occupancy)
-        if lies is not None and [strand, *lies][-1].length <= HOME:
-            return moves
-        # The way may pass on the other side of something thin.
-        moves = self._pulled(strand, pose, z, occupancy)
-        if moves is None:
-            moves = way_home(pose, z, occupancy, self.anchor)
-        if moves is None or self.along(moves, strand, pose, z, occupancy) is None:
-            return None
+        return None if moves is None or lies is None else (moves, lies)
+
+    def _way_along(
+        self, string: Strand, pieces: int, pose: SE2, z: float, occupancy: OccupancyMap
+    ) -> list[Decision] | None:
+        """The shortest way beside each of some pieces of a string, from its end to the anchor."""
+        moves: list[Decision] = []
+        for k, piece in reversed(list(enumerate(string.pieces(pieces)))):
+            x, y, up = piece.points[0].tolist()
+            beside = partial(piece.beside, water=free_water(occupancy), reach=BESIDE)
+            more = way_home(pose, z, occupancy, (x, y, up), beside, near=BESIDE if k else 0.0)
+            if more is None:
+                return None
+            for move in more:
+                pose, z = after(pose, z, move, occupancy)
+            moves += more
         return moves
 
-    def _pulled(self, strand: Strand, pose: SE2, z: float, occupancy: OccupancyMap) -> list[Decision] | None:
-        """Moves until nothing is out: a search by steps made and what is out (weighted A*).
-
-        Its length is the distance to the anchor on the universal cover of the free water: where the tether
-        lies otherwise, the vehicle is at another place, and no side of anything is ever changed.
-        Reference: Kim, Bhattacharya and Kumar, Path Planning for a Tethered Mobile Robot, 2014.
-        """
-        protocol, water = occupancy.protocol, free_water(occupancy)
-        moves = [
-            Decision(turn, advance, climb=climb)
-            for turn in protocol.turn_angles
-            for advance in (0.0, *protocol.advances)
-            for climb in protocol.climbs
-            if turn != 0.0 or advance > 0.0 or climb != 0.0
-        ]
-        queue: list[tuple[float, int, SE2, float, Strand, list[Decision]]]
-        queue, reached, count = [(0.0, 0, pose, z, strand, [])], set(), 0
-        for _ in range(MOST_PULLED):
-            if not queue:
-                return None
-            _, _, pose, z, strand, made = heapq.heappop(queue)
-            at_anchor = protocol.snap(pose) == protocol.snap(SE2(*self.anchor[:2], pose.yaw))
-            if at_anchor and strand.length <= HOME:
-                return made
-            for move in moves:
-                to, height = after(pose, z, move, occupancy)
-                there = protocol.snap(to), round(height / protocol.lattice)
-                if guard(move, pose, occupancy, protocol, z).decision != move:
-                    continue
-                moved = strand.to(self.place(to, height, occupancy), water)
-                if (*there, round(moved.length)) not in reached:
-                    reached.add((*there, round(moved.length)))
-                    count += 1
-                    cost = len(made) + 1 + EAGER * moved.length / max(protocol.advances)
-                    heapq.heappush(queue, (cost, count, to, height, moved, [*made, move]))
-        return None
+    def _as_it_came(
+        self, trail: Strand, pose: SE2, z: float, occupancy: OccupancyMap
+    ) -> list[Decision] | None:
+        """Along a trail, place by place."""
+        protocol, moves = occupancy.protocol, list[Decision]()
+        for x, y, up in trail.points[::-1].tolist():
+            node, turned = node_of(SE2(x, y, 0.0), up, protocol), 0
+            while node_of(pose, z, protocol) != node:
+                move = move_to(node, pose, z, protocol) if turned < protocol.headings else None
+                if move is None or guard(move, pose, occupancy, protocol, z).decision != move:
+                    return None
+                moves.append(move)
+                pose, z = after(pose, z, move, occupancy)
+                turned += 1
+        return moves

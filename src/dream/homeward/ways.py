@@ -16,6 +16,7 @@ from dream.types import BoolArray, Decision
 
 if TYPE_CHECKING:
     from dream.mapping import OccupancyMap
+    from dream.planning.space.ways import KnownWays
 
 Place = tuple[float, float, float]
 """x, y and z, metres in the world."""
@@ -29,6 +30,7 @@ def way_home(
     occupancy: OccupancyMap,
     home: Place,
     kept_to: Callable[[FloatArray], BoolArray] | None = None,
+    near: float = 0.0,
 ) -> list[Decision] | None:
     """The moves of a way with the fewest steps; empty where it is home, None where none is known.
 
@@ -39,6 +41,7 @@ def way_home(
         home: Under a planar protocol its height counts for nothing.
         kept_to: Which of some positions, (n, 3) metres, moves may end at; all that are known to be free
             unless given.
+        near: Metres from home that are near enough; where 0, only the node nearest to it is.
     """
     protocol = occupancy.protocol
     if protocol.space is None:
@@ -48,23 +51,34 @@ def way_home(
         if kept_to is not None:
             at = np.insert(travel.lattice.positions, 2, z, axis=1)
             travel = travel.kept_to(kept_to(at))
-        node = travel.lattice.node(home[0], home[1])
-        if travel.nearest[node] < 0:
+        ends = np.array([travel.lattice.node(home[0], home[1])])
+        if near > 0.0:
+            ends = np.flatnonzero(np.linalg.norm(travel.lattice.positions - home[:2], axis=1) <= near)
+        ends = ends[travel.nearest[ends] >= 0]
+        if not len(ends):
             return None
-        path = travel.path_to_node(node)
+        path = travel.path_to_node(int(ends[np.argmin(travel.nearest[ends])]))
         return [Decision(*travel.move(a, b)) for a, b in pairwise(path)]
-    from dream.planning.space.ways import ways_in
-
-    assert occupancy.volume is not None
-    volume, bounds = occupancy.volume, occupancy.bounds
-    ways = occupancy.answer("ways in space", lambda: ways_in(volume, bounds, protocol))
+    ways = ways_in_space(occupancy)
     if kept_to is not None:
         stands = ways.stands.copy()
         stands[ways.stands > 0] = kept_to(ways.positions[ways.stands > 0])
         ways = replace(ways, stands=stands, _from={})
-    goal = np.zeros(ways.shape, np.bool_)
-    goal[ways.node(*home)] = True
+    if near > 0.0:
+        goal = np.linalg.norm(ways.positions - home, axis=-1) <= near
+    else:
+        goal = np.zeros(ways.shape, np.bool_)
+        goal[ways.node(*home)] = True
     return ways.to(pose, z, goal, np.ones(protocol.headings, np.bool_))
+
+
+def ways_in_space(occupancy: OccupancyMap) -> KnownWays:
+    """The ways that a map with a volume knows; the same to all who ask until it changes."""
+    from dream.planning.space.ways import ways_in
+
+    assert occupancy.volume is not None
+    volume, bounds, protocol = occupancy.volume, occupancy.bounds, occupancy.protocol
+    return occupancy.answer("ways in space", lambda: ways_in(volume, bounds, protocol))
 
 
 def node_of(pose: SE2, z: float, protocol: SurveyProtocol) -> Node:
