@@ -14,9 +14,10 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -30,6 +31,9 @@ from dream.sim.ordered import protocol_in
 from dream.sim.render import Renderer
 from dream.types import Step
 
+T = TypeVar("T")
+F = TypeVar("F", bound=Any)
+"""What is kept of a mission: a dataclass."""
 SHARES = (0.3, 0.5, 0.7, 1.0)
 """Of what the free mission took."""
 
@@ -122,6 +126,34 @@ def chosen(reefs: int, wrecks: int) -> list[Case]:
     return [*some, *hulls[:wrecks]]
 
 
+def options(about: str, out: str, jobs: int) -> argparse.ArgumentParser:
+    """Of a command that flies what is missing: how many workers fly, and where missions are kept."""
+    parser = argparse.ArgumentParser(description=about, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--jobs", type=int, default=jobs)
+    parser.add_argument("--out", type=Path, default=Path(out), help="where missions are kept")
+    return parser
+
+
+def kept_in(path: Path, kind: Callable[..., F]) -> list[F]:
+    """The missions that a file holds, one a line; none where it is not there."""
+    lines = path.read_text().splitlines() if path.exists() else []
+    return [kind(**json.loads(line)) for line in lines]
+
+
+def fly_and_keep(
+    fly: Callable[[T], list[F]], tasks: list[T], jobs: int, path: Path
+) -> Iterator[tuple[T, list[F]]]:
+    """The missions of each task, once they are in the file; what fails is told, and left out."""
+    with path.open("a") as file:
+        for task, outcome in Processes(jobs).run(fly, [[task] for task in tasks]):
+            if isinstance(outcome, Failure):
+                print(f"{task}: {outcome.message}", file=sys.stderr)
+                continue
+            file.writelines(f"{json.dumps(asdict(one))}\n" for one in outcome)
+            file.flush()
+            yield task, outcome
+
+
 def told(flown: list[Flown]) -> str:
     """A table: how many were home in time, and what they had seen."""
     heads = ("budget", "missions", "home", "late", "most used", "seen", "least", "contacts")
@@ -141,32 +173,17 @@ def told(flown: list[Flown]) -> str:
 
 def main() -> int:
     """Fly what is missing, and print the table of all."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = options(__doc__, "homeward.jsonl", processors())
     parser.add_argument("--reefs", type=int, default=40)
     parser.add_argument("--wrecks", type=int, default=10)
     parser.add_argument("--protocol", default="dream-v2")
     parser.add_argument("--shares", type=float, nargs="+", default=list(SHARES))
-    parser.add_argument("--jobs", type=int, default=processors())
-    parser.add_argument("--out", type=Path, default=Path("homeward.jsonl"), help="where missions are kept")
     given = parser.parse_args()
-    kept = (
-        [Flown(**json.loads(line)) for line in given.out.read_text().splitlines()]
-        if given.out.exists()
-        else []
-    )
-    cases = chosen(given.reefs, given.wrecks)
-    tasks = [[task] for task in missing(cases, given.protocol, given.shares, kept)]
-    with given.out.open("a") as file:
-        for (case, *_), outcome in Processes(given.jobs).run(fly, tasks):
-            if isinstance(outcome, Failure):
-                print(f"{case.world} {case.seed}: {outcome.message}", file=sys.stderr)
-                continue
-            kept += outcome
-            file.writelines(f"{json.dumps(asdict(one))}\n" for one in outcome)
-            file.flush()
-            print(f"{case.world} {case.seed}: {', '.join(f'{one.seen:.2f}' for one in outcome)}", flush=True)
+    kept = kept_in(given.out, Flown)
+    tasks = missing(chosen(given.reefs, given.wrecks), given.protocol, given.shares, kept)
+    for (case, *_), flown in fly_and_keep(fly, tasks, given.jobs, given.out):
+        kept += flown
+        print(f"{case.world} {case.seed}: {', '.join(f'{one.seen:.2f}' for one in flown)}", flush=True)
     print(told([one for one in kept if one.protocol == given.protocol]))
     return 0
 

@@ -12,29 +12,25 @@ seen beside the mission without a tether. Nothing is tuned on `test`.
 
 from __future__ import annotations
 
-import argparse
-import json
 import math
 import sys
-from dataclasses import asdict, dataclass
-from pathlib import Path
+from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from numba import njit
 
-from dream.evaluation.engines import Failure, Processes
 from dream.evaluation.metrics import Scorer, sight_in
 from dream.evaluation.runner import simulate
 from dream.evaluation.suites import Case
+from dream.geometry import FloatArray
 from dream.homeward import Budget
 from dream.planning import Belief
 from dream.sim.ordered import protocol_in
 from dream.sim.render import Renderer
 from dream.sim.solids import corners
 from dream.sim.world import World
-from dream.types import Step
-from homeward import chosen
+from dream.types import Step, UInt8Array
+from homeward import chosen, fly_and_keep, kept_in, options
 
 SIDE = 0.1
 """Metres of a box of the raster."""
@@ -75,12 +71,12 @@ class Flown:
 class TrueTether:
     """The tether by the beads."""
 
-    def __init__(self, world: World, start: npt.NDArray[np.float64]) -> None:
+    def __init__(self, world: World, start: FloatArray) -> None:
         self.solid, self.low = _raster(world)
         self.beads = np.array([start, start])
         self.longest = self.turns = 0.0
 
-    def go_to(self, place: npt.NDArray[np.float64]) -> None:
+    def go_to(self, place: FloatArray) -> None:
         """The vehicle went straight there."""
         way = place - self.beads[-1]
         count = max(math.ceil(float(np.linalg.norm(way)) / APART), 1)
@@ -107,7 +103,7 @@ class TrueTether:
         return float(np.arccos(cosines).sum() / (2.0 * math.pi))
 
 
-def _raster(world: World) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.float64]]:
+def _raster(world: World) -> tuple[UInt8Array, FloatArray]:
     """(levels, rows, cols) 1 where a surface passes, or the seabed is; and the lower corner."""
     bounds, terrain = world.bounds.widened(5.0), world.terrain
     x, y = np.arange(bounds.x_min, bounds.x_max, SIDE), np.arange(bounds.y_min, bounds.y_max, SIDE)
@@ -125,7 +121,7 @@ def _raster(world: World) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.float64
 
 
 @njit(cache=True)
-def _mark(solid, low, faces):  # type: ignore[no-untyped-def]
+def _mark(solid: UInt8Array, low: FloatArray, faces: FloatArray) -> None:
     for face in faces:
         a, u, v = face[0], face[1] - face[0], face[2] - face[0]
         longest = max(math.sqrt((u * u).sum()), math.sqrt((v * v).sum()))
@@ -140,7 +136,7 @@ def _mark(solid, low, faces):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _clear(solid, low, a, b):  # type: ignore[no-untyped-def]
+def _clear(solid: UInt8Array, low: FloatArray, a: FloatArray, b: FloatArray) -> bool:
     """Is a short way free, by points every quarter of a box?"""
     way = b - a
     count = int(math.sqrt((way * way).sum()) / (0.25 * SIDE)) + 1
@@ -154,7 +150,7 @@ def _clear(solid, low, a, b):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _relaxed(solid, low, beads):  # type: ignore[no-untyped-def]
+def _relaxed(solid: UInt8Array, low: FloatArray, beads: FloatArray) -> FloatArray:
     for sweep in range(SWEEPS):
         moved = 0.0
         for i in range(1, len(beads) - 1):
@@ -201,8 +197,8 @@ def _relaxed(solid, low, beads):  # type: ignore[no-untyped-def]
     return beads
 
 
-def fly(task: tuple[Case, str, float | None]) -> Flown:
-    """One mission."""
+def fly(task: tuple[Case, str, float | None]) -> list[Flown]:
+    """A mission in a world, by a protocol, with a tether of so many metres or without; the only one."""
     case, name, metres = task
     world = case.open()
     protocol = protocol_in(world, name)
@@ -230,7 +226,7 @@ def fly(task: tuple[Case, str, float | None]) -> Flown:
             led += not step.home.why and "along the tether" in step.decision.reasoning.action
     assert true is not None
     told = scorer.summary()
-    return Flown(
+    flown = Flown(
         world=case.world,
         seed=case.seed,
         protocol=name,
@@ -247,6 +243,13 @@ def fly(task: tuple[Case, str, float | None]) -> Flown:
         turns=true.turns,
         left=true.length,
     )
+    return [flown]
+
+
+def in_turn(reefs: int, wrecks: int) -> list[Case]:
+    """Worlds of `chosen`, wrecks spread among the reefs, so that whatever was flown by a time is like all."""
+    cases, shares = chosen(reefs, wrecks), [(k + 0.5) / n for n in (reefs, wrecks) for k in range(n)]
+    return [cases[k] for k in sorted(range(len(cases)), key=shares.__getitem__)]
 
 
 def told(flown: list[Flown]) -> str:
@@ -274,39 +277,25 @@ def told(flown: list[Flown]) -> str:
 
 def main() -> int:
     """Fly what is missing, and print the table of all."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = options(__doc__, "tether.jsonl", 1)
     parser.add_argument(
         "--spatial", type=int, default=15, help="worlds under dream-v2, a third of them wrecks"
     )
     parser.add_argument("--planar", type=int, default=5, help="worlds under dream-v1, likewise")
     parser.add_argument("--metres", type=float, default=40.0)
-    parser.add_argument("--jobs", type=int, default=1)
-    parser.add_argument("--out", type=Path, default=Path("tether.jsonl"), help="where missions are kept")
     given = parser.parse_args()
-    kept = (
-        [Flown(**json.loads(line)) for line in given.out.read_text().splitlines()]
-        if given.out.exists()
-        else []
-    )
+    kept = kept_in(given.out, Flown)
     there = {(one.world, one.seed, one.protocol, one.tether) for one in kept}
     tasks = [
-        [(case, name, metres)]
-        for metres in (given.metres, None)
+        (case, name, metres)
         for name, count in (("dream-v1", given.planar), ("dream-v2", given.spatial))
-        for case in chosen(count - count // 3, count // 3)
+        for case in in_turn(count - count // 3, count // 3)
+        for metres in (given.metres, None)
         if (case.world, case.seed, name, metres) not in there
     ]
-    with given.out.open("a") as file:
-        for task, outcome in Processes(given.jobs).run(fly, tasks):
-            if isinstance(outcome, Failure):
-                print(f"{task[0].world} {task[0].seed}: {outcome.message}", file=sys.stderr)
-                continue
-            kept.append(outcome)
-            file.write(f"{json.dumps(asdict(outcome))}\n")
-            file.flush()
-            print(outcome, flush=True)
+    for _, flown in fly_and_keep(fly, tasks, given.jobs, given.out):
+        kept += flown
+        print(flown[0], flush=True)
     print(told(kept))
     return 0
 
