@@ -224,6 +224,15 @@ def test_orders_are_obeyed_again(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert (status, told["steps"], told["agree"]) == (0, 5, 5)
 
 
+def test_a_tether_holds_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run = fly(tmp_path, "--tether-m", "3", "--return", "start", steps=12)
+    summary, steps = read_summary(run), read_steps(run)
+    assert summary is not None
+    assert summary.ended == "returned"
+    status, told = replay(capsys, run)
+    assert (status, told["steps"], told["agree"]) == (0, len(steps) - 1, len(steps) - 1)
+
+
 @pytest.mark.rare
 def test_a_run_of_a_model_is_answered_from_what_was_kept(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]

@@ -4,24 +4,30 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from dream.cli import run_command
+from dream.commands.homing import Homing
 from dream.evaluation.runner import simulate
-from dream.geometry import SE2, FloatArray
+from dream.geometry import SE2, Bounds, FloatArray
 from dream.homeward import Budget, tether
 from dream.homeward.tether import MOST_TURNS, Strand, TetherKeeper
+from dream.homeward.ways import after
 from dream.mapping import OccupancyMap
 from dream.mapping._kernels.strings import FreeWater
 from dream.mapping.leash import Leash, flat_water
 from dream.planning import Belief
-from dream.protocol import DREAM_V1
+from dream.protocol import DREAM_V1, protocol_named
+from dream.recording import read_steps, read_summary
+from dream.robots.bluerov2.standin.rig import Rig
 from dream.sim.world import World
 from dream.sim.worlds import make_world
 from dream.types import BoolArray, Decision, Step
+from tests.robots.bluerov2 import rigged
 
 CELL = 0.25
 HALF = 12.0
@@ -167,6 +173,47 @@ def test_it_lets_nobody_wind_it_beyond_the_limit(empty_world: World, monkeypatch
     assert long.along(once, long.strand, pose, 0.0, occupancy) is None
 
 
+def wound(moves: int, monkeypatch: pytest.MonkeyPatch) -> tuple[TetherKeeper, SE2, OccupancyMap]:
+    """So many moves, of which twelve lead once round a pillar, where everything else is free."""
+    monkeypatch.setattr(tether, "free_water", lambda occupancy: pillar(2.0))
+    occupancy = OccupancyMap(Bounds(-HALF, -HALF, HALF, HALF), replace(DREAM_V1, launch_radius=3.0 * HALF))
+    occupancy.clear_launch(0.0, 0.0)
+    held, pose = TetherKeeper(100.0, (0.0, -4.0, 0.0)), SE2(0.0, -4.0, -math.radians(30.0))
+    for _ in range(moves):
+        pose, _ = after(pose, 0.0, Decision(math.radians(30.0), 2.0), occupancy)
+        held.strand = held.strand.to((pose.x, pose.y, 0.0), pillar(2.0))
+        held.trail = held.trail.then((pose.x, pose.y, 0.0))
+    return held, pose, occupancy
+
+
+@pytest.mark.parametrize("pieces", [tether.PIECES, ()], ids=["beside the trail", "as it came"])
+def test_the_way_back_takes_it_off_what_it_was_wound_round(
+    pieces: tuple[int, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tether, "PIECES", pieces)
+    held, pose, occupancy = wound(12, monkeypatch)
+    came = held.trail.length
+    assert math.hypot(pose.x, pose.y + 4.0) < 1.0
+    way = held.way(held.strand, pose, 0.0, occupancy, held.anchor)
+    assert way is not None
+    lies = held.along(way, held.strand, pose, 0.0, occupancy)
+    assert lies is not None
+    assert [held.strand, *lies][-1].length <= 1.0
+    assert held.trail.length < came + (0.1 if not pieces else -1.0)
+
+
+def test_to_another_place_it_goes_back_as_far_as_needed_and_round(monkeypatch: pytest.MonkeyPatch) -> None:
+    held, pose, occupancy = wound(14, monkeypatch)
+    goal = (3.5, 2.0, 0.0)
+    assert held.strand.to(goal, pillar(2.0)).turns > MOST_TURNS - 0.1
+    way = held.way(held.strand, pose, 0.0, occupancy, goal)
+    assert way is not None
+    lies = held.along(way, held.strand, pose, 0.0, occupancy)
+    assert lies is not None
+    assert lies[-1].points[-1] == pytest.approx(goal, abs=0.3)
+    assert lies[-1].turns < 0.3
+
+
 # ---------------------------------------------------------------------------------------------- missions
 
 
@@ -175,14 +222,21 @@ def reef() -> World:
     return make_world("reef/patch", 3)
 
 
-def flown(world: World, metres: float, max_steps: int) -> list[Step]:
-    budget = Budget(tether_m=metres)
-    return list(simulate(world, Belief(), DREAM_V1, budget=budget, max_steps=max_steps))
+def flown(world: World, max_steps: int, budget: Budget, protocol: str = "dream-v1") -> list[Step]:
+    rules = protocol_named(protocol)
+    return list(simulate(world, Belief(), rules, budget=budget, max_steps=max_steps))
 
 
-def test_a_mission_keeps_to_its_tether_and_comes_home_along_it(reef: World) -> None:
-    metres = 12.0
-    steps = flown(reef, metres, 60)
+@pytest.mark.parametrize(
+    ("protocol", "metres", "away"),
+    [("dream-v1", 12.0, None), ("dream-v1", 12.0, (3.0, 4.0)), ("dream-v1-nav", 5.0, None)],
+)
+def test_a_mission_keeps_to_its_tether_and_comes_home_along_it(
+    reef: World, protocol: str, metres: float, away: tuple[float, float] | None
+) -> None:
+    begins = reef.starts[0]
+    home = None if away is None else (begins.x + away[0], begins.y + away[1])
+    steps = flown(reef, 60, Budget(tether_m=metres, home=home), protocol)
     start, last = steps[0].observation.pose, steps[-1]
     assert last.ended in ("done", "returned")
     for step in steps:
@@ -192,17 +246,20 @@ def test_a_mission_keeps_to_its_tether_and_comes_home_along_it(reef: World) -> N
         if balances:
             assert not balances["tether"].short
             assert not balances["winding"].short
+            assert balances["tether"].margin == pytest.approx(0.05 * metres + 3.0 * step.arrival.sigma)
             assert balances["tether"].way >= start.distance(step.observation.pose) - 1e-6
     assert max(start.distance(step.observation.pose) for step in steps) > 0.5 * metres
-    assert start.distance(last.observation.pose) < 0.1
+    x, y = home or (start.x, start.y)
+    assert math.hypot(last.observation.pose.x - x, last.observation.pose.y - y) < 0.5
     assert last.home is not None
-    assert next(one.way for one in last.home.balances if one.name == "tether") <= 1.0
+    if home is None:
+        assert next(one.way for one in last.home.balances if one.name == "tether") <= 1.0
     assert not any(step.arrival.collided for step in steps)
 
 
 def test_a_tether_that_is_never_taut_changes_nothing(reef: World) -> None:
     free = list(simulate(reef, Belief(), DREAM_V1, max_steps=15, budget=Budget()))
-    held = flown(reef, 1000.0, 15)
+    held = flown(reef, 15, Budget(tether_m=1000.0))
     for one, other in zip(free[:8], held[:8], strict=True):
         assert one.decision == other.decision
 
@@ -221,3 +278,19 @@ def test_bad_tethers_are_told_before_there_is_a_folder(
     assert run_command(["run", "--protocol", "dream-v1", *options, "--out", str(tmp_path)]) == 2
     assert said in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.rare
+def test_a_dive_keeps_to_its_tether(tmp_path: Path) -> None:
+    metres = 1.5
+    with Rig(tmp_path, make_world("pool/arc", 1), pictures=5.0) as rig:
+        dived = rigged.dive(rig, tmp_path, max_steps=24, homing=Homing(tether_m=metres))
+    assert dived.error is None
+    summary, steps = read_summary(tmp_path), read_steps(tmp_path)
+    assert summary is not None
+    assert summary.ended in ("done", "returned")
+    assert summary.home is not None
+    assert summary.home["reached"]
+    start = steps[0].pose
+    away = [math.hypot(step.pose.x - start.x, step.pose.y - start.y) for step in steps]
+    assert 0.2 * metres < max(away) <= 0.95 * metres
