@@ -127,7 +127,7 @@ class Anchored:
     def _leg(self, goal: Setpoint) -> Arrival:
         if self._seen is None:
             self._look()
-        # Heights are the same in both frames: a gauge of pressure does not drift.
+        # Heights are the same in both frames: what is matched is seen from above.
         odom = _through(self._T_map_odom.inverse, SE2(goal.x, goal.y, goal.yaw))
         arrival = self._robot.go_to(replace(goal, x=odom.x, y=odom.y, yaw=odom.yaw))
         self._look()
