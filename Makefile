@@ -80,7 +80,7 @@ test-ray: setup-ray ## Run the tests that need Ray, an optional extra
 # Nets as small as those of the tests lose more by threads than they gain.
 test-train: export OMP_NUM_THREADS := 1
 test-train: setup-train ## Run the tests of training, which need PyTorch, an optional extra
-	@$(BIN)/pytest -n 2 --dist loadscope tests/learning
+	@$(BIN)/pytest tests/learning
 
 test-checkers: setup-checkers ## Run the tests that read files with others' checkers and readers
 	@$(BIN)/pytest tests/live/test_rerun.py tests/survey/test_products_files.py::test_a_cf_checker_finds_no_fault
