@@ -134,6 +134,12 @@ def test_thrust_falls_with_the_voltage_and_the_autopilot_knows(empty_world: Worl
     assert robot.finding is None
 
 
+def test_a_battery_that_is_low_from_the_start_does_not_sag(empty_world: World) -> None:
+    thrusters = replace(CALM.vehicle.thrusters, voltage=14.0)
+    robot = climbed(empty_world, replace(CALM, vehicle=replace(CALM.vehicle, thrusters=thrusters)), moves=1)
+    assert robot.ailing == {}
+
+
 # ------------------------------------------------------------------------------------------------ given
 
 

@@ -47,8 +47,8 @@ class Strand:
     that is known to be free alone. So it stays on that side of everything on which the vehicle swam, and
     in the plane it is no shorter than the taut string through what is really free.
     Assumes: a tether that neither sinks nor drifts; water that is known to be free is.
-    Fails when: a string that lies over something in three dimensions could slip off it: it is taken for
-    longer than it is then. One that catches on what is finer than a box of water is taken for shorter.
+    Fails when: a string lies over something in three dimensions: the tether may slip off it to another side
+    than the string. One that catches on what is finer than a box of water is taken for shorter than it is.
     """
 
     points: FloatArray

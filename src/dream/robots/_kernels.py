@@ -55,9 +55,9 @@ SEABED, DISTANCE, WAY, CLEARANCE, CONDITION, DRAWN, FAILED = range(8, 15)
 VOLTS, MEAN_VOLTS, LEAST_VOLTS, READING, HEARD, ALIKE, RISEN, STUCK, SILENT = range(15, CLOCK)
 """`DISTANCE` is over ground, `WAY` through the water, heights counted; `DRAWN` is in joules, and `FAILED` is
 when a thruster first gave another force than it was commanded. `VOLTS` are the battery's, `MEAN_VOLTS` are
-smoothed, and `LEAST_VOLTS` their least. `READING` is the gauge's last and `HEARD` when it came; `ALIKE`
-counts those before it that were the same, `RISEN` is by how many metres the estimate rose since; `STUCK` and
-`SILENT` are when the gauge was found to be so."""
+smoothed, and `LEAST_VOLTS` their least in a sag. `READING` is the gauge's last and `HEARD` when it came;
+`ALIKE` counts those before it that were the same, `RISEN` is by how many metres the estimate rose since;
+`STUCK` and `SILENT` are when the gauge was found to be so."""
 
 
 class Ship(NamedTuple):
@@ -187,12 +187,9 @@ def sag(ship: Ship, clock: Float64Array, drawn: float) -> float:
     clock[MEAN_VOLTS] += ship.dt / SAG_TIME * (clock[VOLTS] - clock[MEAN_VOLTS])
     clock[LEAST_VOLTS] = min(clock[LEAST_VOLTS], clock[MEAN_VOLTS])
     factor = (clock[VOLTS] / before) ** (0.5 * VOLTAGE_POWER)
-    for k in range(len(ship.body.roots)):
-        ship.body.roots[k] *= factor
-    for k in range(len(ship.nominal.roots)):
-        ship.nominal.roots[k] *= factor
-    for k in range(len(ship.plant.roots)):
-        ship.plant.roots[k] *= factor
+    ship.body.roots[:] *= factor
+    ship.nominal.roots[:] *= factor
+    ship.plant.roots[:] *= factor
     return drawn
 
 

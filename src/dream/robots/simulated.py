@@ -155,7 +155,8 @@ class Simulated:
     drawn from where it really is, and says where it believes to be. A contact ends the move. At the launch it
     was held still at a pose that it knows as well as the filter's `Start` says, which frees the gyroscopes of
     their bias and sets the compass. Once the fault of a thruster is named, it goes on with the others,
-    slower, and its observations tell of the trouble; where the others do not do, it surfaces.
+    slower; where the others do not do, it surfaces. Without its depth sensor it has heights from the DVL, and
+    of a dark picture it believes nothing. Its observations tell of the trouble.
 
     Assumes: a launch whose pose in the map is known to about a degree and a centimetre.
     Fails when: the estimate is lost, which ends the mission by its name.
@@ -226,7 +227,7 @@ class Simulated:
             light(self._motion.fault, now),
         )
         seen = self._lighting.seen(seen)
-        return replace(seen, trouble="; ".join([*self._troubles, *filter(None, [self._lighting.trouble])]))
+        return replace(seen, trouble="; ".join(filter(None, (*self._troubles, self._lighting.trouble))))
 
     def go_to(self, setpoint: Setpoint) -> Arrival:
         """Swim there; at contact, stop. The camera tilts on the way.
@@ -441,8 +442,8 @@ def _launched(
     )
     clock = np.zeros(_kernels.CLOCK)
     clock[_kernels.SENT], clock[_kernels.SEABED] = -1.0, seabed
-    clock[[_kernels.FAILED, _kernels.STUCK, _kernels.SILENT]] = math.inf
-    clock[[_kernels.VOLTS, _kernels.MEAN_VOLTS, _kernels.LEAST_VOLTS]] = truth.thrusters.voltage
+    clock[[_kernels.FAILED, _kernels.LEAST_VOLTS, _kernels.STUCK, _kernels.SILENT]] = math.inf
+    clock[[_kernels.VOLTS, _kernels.MEAN_VOLTS]] = truth.thrusters.voltage
     clock[_kernels.READING] = math.nan
     voyage = _kernels.Voyage(
         x=x.vector,

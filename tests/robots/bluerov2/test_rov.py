@@ -4,6 +4,7 @@ import math
 import time
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -170,9 +171,9 @@ def test_how_sure_it_is_goes_with_what_it_saw(monkeypatch: pytest.MonkeyPatch) -
     ],
 )
 def test_a_battery_that_is_low_is_trouble(
-    said: dict[str, float], trouble: str, monkeypatch: pytest.MonkeyPatch
+    said: dict[str, Any], trouble: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    vehicle = Telemetry(0.0, **said)  # type: ignore[arg-type]
+    vehicle = Telemetry(0.0, **said)
     robot = Scene().robot(monkeypatch, vehicle=lambda: vehicle, homing_voltage=14.4)
     assert robot.observe().trouble == trouble
 
