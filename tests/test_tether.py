@@ -15,7 +15,8 @@ from dream.commands.homing import Homing
 from dream.evaluation.runner import simulate
 from dream.geometry import SE2, Bounds, FloatArray
 from dream.homeward import Budget, tether
-from dream.homeward.tether import MOST_TURNS, Strand, TetherKeeper
+from dream.homeward.strands import WAYS, Strand, Tether, Water
+from dream.homeward.tether import MOST_TURNS, TetherKeeper
 from dream.homeward.ways import after
 from dream.mapping import OccupancyMap
 from dream.mapping._kernels.strings import FreeWater
@@ -53,12 +54,18 @@ def pillar(radius: float) -> FreeWater:
 OPEN = water_without(lambda x, y: np.zeros(x.shape, np.bool_))
 
 
+def level(free: FreeWater) -> Water:
+    """As it is at one height."""
+    return Water(free, free)
+
+
 def along(water: FreeWater, places: list[tuple[float, float]]) -> Strand:
-    """Of a vehicle that went straight from place to place."""
-    strand = Strand.at((*places[0], 0.0))
+    """Of a vehicle that went straight from place to place, at one height: there it lies in one way alone."""
+    lies = Tether.at((*places[0], 0.0))
     for place in places[1:]:
-        strand = strand.to((*place, 0.0), water)
-    return strand
+        lies = lies.to((*place, 0.0), level(water))
+        assert len(lies.strands) == 1
+    return lies.strands[0]
 
 
 def circle(radius: float, turns: float) -> list[tuple[float, float]]:
@@ -119,20 +126,66 @@ def test_the_sides_of_a_pillar_are_told_apart() -> None:
 def test_in_space_it_goes_over_a_wall_the_short_way() -> None:
     free = np.ones((20, 40, 40), np.uint8)
     free[:8, :, 20] = 0
-    water = FreeWater(free, np.zeros(3), np.full(3, CELL))
-    strand = Strand.at((2.0, 5.0, 1.0)).to((2.0, 8.0, 4.0), water)
-    for place in [(8.0, 8.0, 4.0), (8.0, 5.0, 1.0)]:
-        strand = strand.to(place, water)
+    water = Water.of(FreeWater(free, np.zeros(3), np.full(3, CELL)))
+    lies = Tether.at((2.0, 5.0, 1.0))
+    for place in [(2.0, 8.0, 4.0), (8.0, 8.0, 4.0), (8.0, 5.0, 1.0)]:
+        lies = lies.to(place, water)
     # Over the edge at z = 2 between x = 5 and 5.25, straight across.
     exact = math.hypot(3.0, 1.0) + CELL + math.hypot(2.75, 1.0)
-    assert exact - 1e-6 <= strand.length <= exact + 0.15
+    (strand,) = lies.strands
+    assert exact - 1e-6 <= strand.slid(water.free).length <= exact + 0.15
+    # Held a box away from the wall's edge at most, where that is no other way to lie.
+    assert exact <= strand.length <= exact + 0.75
+
+
+def boulder(height: float) -> Water:
+    """A pyramid with its foot of 8 m around the middle, on the ground at z = 0; and water to z = 5."""
+    at = np.arange(-HALF + 0.5 * CELL, HALF, CELL)
+    east, north = np.meshgrid(at, at)
+    top = height * (1.0 - np.maximum(abs(east), abs(north)) / 4.0)
+    levels = np.arange(0.5 * CELL, 5.0, CELL)
+    free = (levels[:, None, None] > top[None]).astype(np.uint8)
+    return Water.of(FreeWater(free, np.array([-HALF, -HALF, 0.0]), np.full(3, CELL)))
+
+
+def test_what_it_lies_over_it_may_stay_on_or_slide_off() -> None:
+    water = boulder(3.0)
+    over = [(-8.0, 1.5, 3.5), (8.0, 1.5, 3.5), (8.0, 1.5, 0.5), (8.0, 4.5, 0.5)]
+    lies = Tether.at((-8.0, 1.5, 0.5))
+    for place in over:
+        lies = lies.to(place, water)
+    straight = math.hypot(16.0, 3.0)
+    assert lies.strands[-1].length <= straight + 0.25
+    assert lies.strands[0].points[:, 2].max() > 1.5
+    assert lies.length > straight + 0.5
+    # Had it slid off to the north, going back as it came would wind it round the boulder.
+    for place in [*over[-2::-1], (-8.0, 1.5, 0.5)]:
+        lies = lies.to(place, water)
+    assert lies.strands[-1].length == pytest.approx(0.0, abs=1e-6)
+    assert lies.length > 20.0
+    assert lies.turns > 0.5
+
+
+def test_of_ways_to_lie_the_longest_and_the_shortest_are_kept() -> None:
+    rng, water = np.random.default_rng(1), boulder(3.0)
+    lies, least = Tether.at((-8.0, 0.0, 0.5)), Strand.at((-8.0, 0.0, 0.5))
+    most = 1
+    for x, y in rng.uniform(-10.0, 10.0, (60, 2)):
+        for place in [(x, y, 4.5), (x, y, 0.5)][: 2 if max(abs(x), abs(y)) > 4.5 else 1]:
+            lies = lies.to(place, water)
+            least = least.to(place, water.free).slid(water.free)
+            lengths = [one.length for one in lies.strands]
+            assert lengths == sorted(lengths, reverse=True)
+            assert lies.length >= math.dist((-8.0, 0.0, 0.5), place) - 1e-6
+            most = max(most, len(lengths))
+    assert 2 <= most <= WAYS
 
 
 def test_what_turns_out_to_be_solid_where_it_lies_it_goes_round_on_its_side() -> None:
     strand = along(square(4.0), [(-6.0, 0.0), (-6.0, 5.0), (6.0, 5.0), (6.0, 0.0)])
-    wider = strand.to((6.0, 0.0, 0.0), square(5.0))
+    wider = Tether((strand,)).to((6.0, 0.0, 0.0), level(square(5.0)))
     assert wider.length == pytest.approx(2.0 * math.hypot(3.5, 2.5) + 5.0, abs=0.15)
-    again = wider.to((6.0, 0.0, 0.0), square(4.0))
+    again = wider.to((6.0, 0.0, 0.0), level(square(4.0)))
     assert again.length == pytest.approx(strand.length, abs=0.1)
 
 
@@ -155,33 +208,45 @@ def test_a_leash_goes_round_corners() -> None:
     assert at[9.0, -9.0] == math.inf
 
 
+def test_a_leash_leaves_out_what_is_closed() -> None:
+    leash, low = Leash((-4.0, 0.0, 0.0), 16.0), np.array([-10.0, -10.0, 0.0])
+    without = replace(leash, closed=(((1.0, 2.1, 0.0), 0.55),))
+    open_, closed = (one.lengths(OPEN, low, 0.5, (1, 41, 41))[0] for one in (leash, without))
+    assert math.isfinite(open_[24, 22])
+    changed = np.argwhere(open_ != closed)
+    assert changed.tolist() == [[24, 21], [24, 22], [24, 23], [25, 22]]
+    assert (closed[tuple(changed.T)] == math.inf).all()
+
+
 FAR = [(-8.0, 3.0), (4.0, 0.0), (9.0, -9.0)]
 
 
 def test_it_lets_nobody_wind_it_beyond_the_limit(empty_world: World, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(tether, "free_water", lambda occupancy: pillar(2.0))
+    monkeypatch.setattr(tether, "water_in", lambda occupancy: level(pillar(2.0)))
     occupancy = OccupancyMap(empty_world.bounds, DREAM_V1)
     start = (0.0, -4.0, 0.0)
     held = TetherKeeper(100.0, start)
     once = [Decision(math.radians(30.0), 2.0)] * 12
     pose = SE2(0.0, -4.0, -math.radians(30.0))
-    lies = held.along(once, held.strand, pose, 0.0, occupancy)
-    assert lies is not None
-    assert 0.4 < lies[-1].turns < MOST_TURNS
-    assert held.along(2 * once, held.strand, pose, 0.0, occupancy) is None
+    lies = list(held.along(2 * once, held.lies, pose, 0.0, occupancy))
+    assert 0.4 < lies[11].turns < MOST_TURNS
+    assert [held.over(one, held.lies) > 0.0 for one in lies].index(True) > 12
+    assert held.over(lies[-1], held.lies) == pytest.approx(lies[-1].turns - 0.9)
+    assert held.over(lies[-1], held.lies, back=True) == pytest.approx(lies[-1].turns - 1.0)
+    assert held.over(lies[-1], lies[-1]) == 0.0
     long = TetherKeeper(12.0, start)
-    assert long.along(once, long.strand, pose, 0.0, occupancy) is None
+    assert max(long.over(one, long.lies) for one in long.along(once, long.lies, pose, 0.0, occupancy)) > 0.0
 
 
 def wound(moves: int, monkeypatch: pytest.MonkeyPatch) -> tuple[TetherKeeper, SE2, OccupancyMap]:
     """So many moves, of which twelve lead once round a pillar, where everything else is free."""
-    monkeypatch.setattr(tether, "free_water", lambda occupancy: pillar(2.0))
+    monkeypatch.setattr(tether, "water_in", lambda occupancy: level(pillar(2.0)))
     occupancy = OccupancyMap(Bounds(-HALF, -HALF, HALF, HALF), replace(DREAM_V1, launch_radius=3.0 * HALF))
     occupancy.clear_launch(0.0, 0.0)
     held, pose = TetherKeeper(100.0, (0.0, -4.0, 0.0)), SE2(0.0, -4.0, -math.radians(30.0))
     for _ in range(moves):
         pose, _ = after(pose, 0.0, Decision(math.radians(30.0), 2.0), occupancy)
-        held.strand = held.strand.to((pose.x, pose.y, 0.0), pillar(2.0))
+        held.lies = held.lies.to((pose.x, pose.y, 0.0), level(pillar(2.0)))
         held.trail = held.trail.then((pose.x, pose.y, 0.0))
     return held, pose, occupancy
 
@@ -194,24 +259,64 @@ def test_the_way_back_takes_it_off_what_it_was_wound_round(
     held, pose, occupancy = wound(12, monkeypatch)
     came = held.trail.length
     assert math.hypot(pose.x, pose.y + 4.0) < 1.0
-    way = held.way(held.strand, pose, 0.0, occupancy, held.anchor)
+    way = held.way(held.lies, pose, 0.0, occupancy, held.anchor)
     assert way is not None
-    lies = held.along(way, held.strand, pose, 0.0, occupancy)
-    assert lies is not None
-    assert [held.strand, *lies][-1].length <= 1.0
+    *_, last = held.along(way, held.lies, pose, 0.0, occupancy)
+    assert last.length <= 1.0
     assert held.trail.length < came + (0.1 if not pieces else -1.0)
 
 
 def test_to_another_place_it_goes_back_as_far_as_needed_and_round(monkeypatch: pytest.MonkeyPatch) -> None:
     held, pose, occupancy = wound(14, monkeypatch)
     goal = (3.5, 2.0, 0.0)
-    assert held.strand.to(goal, pillar(2.0)).turns > MOST_TURNS - 0.1
-    way = held.way(held.strand, pose, 0.0, occupancy, goal)
+    assert held.lies.to(goal, level(pillar(2.0))).turns > MOST_TURNS - 0.1
+    way = held.way(held.lies, pose, 0.0, occupancy, goal)
     assert way is not None
-    lies = held.along(way, held.strand, pose, 0.0, occupancy)
-    assert lies is not None
-    assert lies[-1].points[-1] == pytest.approx(goal, abs=0.3)
-    assert lies[-1].turns < 0.3
+    *_, last = held.along(way, held.lies, pose, 0.0, occupancy)
+    assert last.strands[0].points[-1] == pytest.approx(goal, abs=0.3)
+    assert last.turns < 0.3
+
+
+def test_who_is_back_where_the_tether_may_be_in_is_home(monkeypatch: pytest.MonkeyPatch) -> None:
+    held, _, occupancy = wound(12, monkeypatch)
+    held.lies = held.lies.to(held.anchor, level(pillar(2.0)))
+    out, back = held.lies.strands[0], SE2(*held.anchor[:2], 0.0)
+    assert out.length > 10.0
+    assert held.way(held.lies, back, 0.0, occupancy, held.anchor)
+    held.lies = Tether((out, Strand.at(held.anchor)))
+    assert held.way(held.lies, back, 0.0, occupancy, held.anchor) == []
+
+
+def test_a_way_back_for_which_there_is_not_enough_is_the_last(monkeypatch: pytest.MonkeyPatch) -> None:
+    held, pose, occupancy = wound(12, monkeypatch)
+    back = held.way(held.lies, pose, 0.0, occupancy, held.anchor)
+    assert back is not None
+    less = held.way(held.lies, pose, 0.0, occupancy, held.anchor, affords=lambda moves: len(moves) < 3)
+    assert less is not None
+    assert len(less) < 3 < len(back)
+    *_, last = [held.lies, *held.along(less, held.lies, pose, 0.0, occupancy)]
+    assert last.length > 1.0
+
+
+def test_what_is_closed_is_never_where_the_vehicle_is() -> None:
+    held = TetherKeeper(40.0, (0.0, 0.0, 0.0))
+    held.close((5.0, 0.0, 0.0), (3.0, 0.0, 0.0))
+    held.close((5.0, 0.0, 1.0), (5.0, 0.0, 0.5))
+    assert [place for place, _ in held.leash.closed] == [(5.0, 0.0, 0.0), (5.0, 0.0, 1.0)]
+    assert [radius for _, radius in held.leash.closed] == pytest.approx([1.0, 0.3])
+
+
+def test_to_and_fro_leaves_no_trail() -> None:
+    trail = Strand.at((0.0, 0.0, 0.0)).then((2.0, 0.0, 0.0)).then((2.0, 2.0, 0.0))
+    assert trail.then((2.1, 0.1, 0.0)).points.tolist() == [[0.0, 0.0, 0.0], [2.1, 0.1, 0.0]]
+    assert len(trail.then((4.0, 2.0, 0.0)).points) == 4
+
+
+def test_it_is_led_to_a_place_once() -> None:
+    held = TetherKeeper(40.0, (0.0, 0.0, 0.0))
+    assert held.leads_anew((5.0, 0.0, 0.0))
+    assert not held.leads_anew((5.5, 0.5, 0.0))
+    assert held.leads_anew((5.0, 3.0, 0.0))
 
 
 # ---------------------------------------------------------------------------------------------- missions
@@ -229,7 +334,12 @@ def flown(world: World, max_steps: int, budget: Budget, protocol: str = "dream-v
 
 @pytest.mark.parametrize(
     ("protocol", "metres", "away"),
-    [("dream-v1", 12.0, None), ("dream-v1", 12.0, (3.0, 4.0)), ("dream-v1-nav", 5.0, None)],
+    [
+        ("dream-v1", 12.0, None),
+        ("dream-v1", 12.0, (3.0, 4.0)),
+        ("dream-v1-nav", 5.0, None),
+        ("dream-v2", 8.0, None),
+    ],
 )
 def test_a_mission_keeps_to_its_tether_and_comes_home_along_it(
     reef: World, protocol: str, metres: float, away: tuple[float, float] | None

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 from dream.geometry import SE2
 from dream.homeward.budget import Budget
 from dream.homeward.pace import DEVIATIONS, SPEED, TURN_RATE, Pace, nominal_seconds
-from dream.homeward.tether import Strand, TetherKeeper
+from dream.homeward.strands import Tether
+from dream.homeward.tether import TetherKeeper
 from dream.homeward.ways import Node, Place, after, move_to, node_of, places, way_home
 from dream.types import LOOK_AROUND, Arrival, Balance, Decision, Home, Observation, Reasoning
 from dream.vehicle import HOTEL_W
@@ -63,6 +65,8 @@ class Homeward:
     """Seconds that an answer took at most: the next may take as long."""
     _to_start: bool = False
     """Is the place that was asked for too far?"""
+    _steps: int = 0
+    """Made in the mission."""
     _made: list[Decision] = field(default_factory=list)
     """All moves so far."""
     _came: list[Node] = field(default_factory=list)
@@ -112,19 +116,24 @@ class Homeward:
         if self.why:
             return True
         pose, z = after(seen.pose, seen.z, move, occupancy)
-        strand = None
+        lies = None
         if self.tether is not None:
-            lies = self.tether.along([move], self.tether.strand, seen.pose, seen.z, occupancy)
-            if lies is None:
+            before = self.tether.lies
+            (lies,) = self.tether.along([move], before, seen.pose, seen.z, occupancy)
+            too_far = self.tether.over(lies, before, back=self._unwinds_to is not None) > 0.0
+            left_out = self.tether.left_out(lies, pose, z, occupancy)
+            if too_far or left_out > self.tether.left_out(before, seen.pose, seen.z, occupancy):
                 self._unwind((pose.x, pose.y, z), seen, occupancy)
                 return False
-            (strand,) = lies
         waited = self._waited if self.ticking else self._waited + move.waited
-        short = self._short(move, self._way(pose, z, occupancy, strand), seen, steps, waited)
+        short = self._short(move, self._way(pose, z, occupancy, lies), seen, steps, waited)
         if short is not None and self.budget.home is not None:
             # What is not enough for the place that was asked for may be enough for the start.
-            here = self._way(seen.pose, seen.z, occupancy, self._strand)
-            self._to_start = self._short(Decision(), here, seen, steps, waited) is not None
+            there = self._way(seen.pose, seen.z, occupancy, self._lies)
+            if self._short(Decision(), there, seen, steps, waited) is not None:
+                self._to_start = True
+                back = self._way(seen.pose, seen.z, occupancy, self._lies)
+                self._to_start = there is None or (back is not None and len(back) < len(there))
         if short is not None:
             most, digits = short.way + short.margin, 1 if short.unit == "Wh" else 0
             self.why = (
@@ -134,12 +143,22 @@ class Homeward:
         return short is None
 
     def _unwind(self, place: Place, seen: Observation, occupancy: OccupancyMap) -> None:
-        """Lead to a place by a way that the tether allows; home where there is none."""
+        """Lead to a place by a way that the tether allows; one move back along it where there is none.
+
+        Planners are told then to go elsewhere.
+        """
         assert self.tether is not None
-        self._unwinds_to = self._unwinds_to or place
-        if not self._way_now(seen, occupancy):
+        if self._unwinds_to is None and self.tether.leads_anew(place):
+            self._unwinds_to = place
+            if self._way_now(seen, occupancy):
+                return
+        self.tether.close(self._unwinds_to or place, self.tether.place(seen.pose, seen.z, occupancy))
+        occupancy.hold(self.tether.leash)
+        self._unwinds_to = self.start
+        if self._way_now(seen, occupancy) is None:
             self._unwinds_to = None
-            self.why = f"no way that a tether of {self.tether.metres:g} m allows leads where it was to go"
+            self.why = f"no way that a tether of {self.tether.metres:g} m allows leads anywhere"
+        del self.tether.plan[1:]
 
     def _short(
         self, move: Decision, way: list[Decision] | None, seen: Observation, steps: int, waited: float
@@ -168,6 +187,8 @@ class Homeward:
             return Decision(turn=0.5 * math.pi, reasoning=Reasoning(action=told))
         if self.why:
             told = f"Going home, {len(way)} steps away: {self.why}."
+        elif self._unwinds_to == self.start:
+            told = "Going a step back along the tether: no way that it allows leads there."
         else:
             told = f"Going {len(way)} steps back along the tether and round: it would be too long, or wound."
         return replace(way[0] if way else Decision(), reasoning=Reasoning(action=told))
@@ -211,16 +232,17 @@ class Homeward:
             complete: The mission has nothing left to do: it goes home.
         """
         self.why = self.why or seen.trouble or (COMPLETE if complete else "")
+        self._steps = steps
         self._keep_trail(node_of(seen.pose, seen.z, occupancy.protocol))
         if self.why:
             self._unwinds_to = None
             way = self._way_now(seen, occupancy)
         else:
-            way = self._way(seen.pose, seen.z, occupancy, self._strand)
+            way = self._way(seen.pose, seen.z, occupancy, self._lies)
         if way is None:
             return Home(None, (), self.why)
         path = places(seen.pose, seen.z, way, occupancy)
-        balances = self._balances(way, seen, steps, self._waited, self._strand)
+        balances = self._balances(way, seen, steps, self._waited, self._lies)
         return Home(path if way else (), balances, self.why)
 
     def _keep_trail(self, here: Node) -> None:
@@ -235,8 +257,8 @@ class Homeward:
             self._came.append(here)
 
     @property
-    def _strand(self) -> Strand | None:
-        return None if self.tether is None else self.tether.strand
+    def _lies(self) -> Tether | None:
+        return None if self.tether is None else self.tether.lies
 
     @property
     def _homes(self) -> tuple[Place, ...]:
@@ -246,13 +268,13 @@ class Homeward:
         return (*self.budget.home, self.start[2]), self.start
 
     def _way(
-        self, pose: SE2, z: float, occupancy: OccupancyMap, strand: Strand | None
+        self, pose: SE2, z: float, occupancy: OccupancyMap, lies: Tether | None
     ) -> list[Decision] | None:
         """The way home."""
-        if self.tether is None or strand is None:
+        if self.tether is None or lies is None:
             ways = (way_home(pose, z, occupancy, place) for place in self._homes)
         else:
-            ways = (self.tether.way(strand, pose, z, occupancy, place) for place in self._homes)
+            ways = (self.tether.way(lies, pose, z, occupancy, place) for place in self._homes)
         return next((way for way in ways if way is not None), None)
 
     def _way_now(self, seen: Observation, occupancy: OccupancyMap) -> list[Decision] | None:
@@ -260,10 +282,15 @@ class Homeward:
         if self.tether is None:
             return self._way(seen.pose, seen.z, occupancy, None)
         goals = self._homes if self._unwinds_to is None else (self._unwinds_to,)
-        return self.tether.way_on(goals, seen, occupancy)
+        return self.tether.way_on(goals, seen, occupancy, partial(self._affords_way, seen))
+
+    def _affords_way(self, seen: Observation, way: list[Decision]) -> bool:
+        """Is there enough for a way, nothing kept back?"""
+        balances = self._balances(way, seen, self._steps, self._waited, None)
+        return all(one.way <= one.left for one in balances)
 
     def _balances(
-        self, way: list[Decision], seen: Observation, steps: int, waited: float, strand: Strand | None
+        self, way: list[Decision], seen: Observation, steps: int, waited: float, lies: Tether | None
     ) -> tuple[Balance, ...]:
         """What is left now, after so many seconds of waiting, and what a way takes of it from here on; and
         how a tether lies."""
@@ -288,8 +315,8 @@ class Homeward:
             # Who waits draws what everything but the thrusters does, which a simulated clock leaves out.
             left = self.budget.battery_wh - self._drawn(seen) - waited * HOTEL_W / 3600.0
             add("battery", "Wh", left, self._watt_hours, self._longest * HOTEL_W / 3600.0)
-        if self.tether is not None and strand is not None:
-            balances += self.tether.balances(strand)
+        if self.tether is not None and lies is not None:
+            balances += self.tether.balances(lies)
         return tuple(balances)
 
     def _drawn(self, seen: Observation) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import TYPE_CHECKING
@@ -10,24 +11,29 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dream.control import guard
-from dream.geometry import SE2, FloatArray
+from dream.geometry import SE2
 from dream.homeward.budget import SLACK
 from dream.homeward.pace import DEVIATIONS
+from dream.homeward.strands import Strand, Tether, Water
 from dream.homeward.ways import Place, after, move_to, node_of, places, way_home
 from dream.mapping.leash import Leash, flat_water
-from dream.types import Balance, BoolArray, Decision, Observation, Reasoning
+from dream.types import Balance, Decision, Observation, Reasoning
 
 if TYPE_CHECKING:
     from dream.mapping import OccupancyMap
-    from dream.mapping._kernels.strings import FreeWater
+
+Affords = Callable[[list[Decision]], bool]
+"""Is there enough for some moves?"""
 
 MOST_TURNS = 1.0
 """Turns that it may be wound through, all its bends together: with friction μ the pull at its end grows by
 exp(2π μ) with each (the capstan equation)."""
 SLACK_TURNS = 0.1
 """Of them that are kept back: what bends it is known to a cell of the map only."""
-BEND = 0.25
-"""Metres: what bends it aside by less is no bend, but the map's cells."""
+CLOSED = 1.0
+"""Metres around a place to which no way leads that are closed at most; never where the vehicle is."""
+AGAIN = 1.0
+"""Metres within which it is led to the same place once more."""
 BESIDE = 1.0
 """Metres from the trail to which the way back along it keeps."""
 PIECES = (1, 2, 4, 8, 16)
@@ -39,91 +45,39 @@ HOME = 1.0
 """Metres of tether that are out at most when the vehicle is back where it was launched."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Strand:
-    """A tether as it lies when it is pulled taut: a polygon from its anchor to the vehicle.
+def water_in(occupancy: OccupancyMap) -> Water:
+    """What a map knows to be free; the same to all who ask until it changes.
 
-    What it does: its end goes with the vehicle, and it is pulled taut by cutting its corners, through water
-    that is known to be free alone. So it stays on that side of everything on which the vehicle swam, and
-    in the plane it is no shorter than the taut string through what is really free.
-    Assumes: a tether that neither sinks nor drifts; water that is known to be free is.
-    Fails when: a string lies over something in three dimensions: the tether may slip off it to another side
-    than the string. One that catches on what is finer than a box of water is taken for shorter than it is.
+    Under a planar protocol it is alike at all heights: nothing can slide over what is solid, or catch on it.
     """
 
-    points: FloatArray
-    """(n, 3) x, y and z of its vertices, metres in the world: from the anchor to the vehicle."""
-
-    @classmethod
-    def at(cls, anchor: Place) -> Strand:
-        """Nothing of it is out."""
-        return cls(np.array([anchor]))
-
-    def to(self, place: Place, water: FreeWater) -> Strand:
-        """Once the vehicle has moved straight to a place."""
-        from dream.mapping._kernels.strings import tighten
-
-        return Strand(tighten(water, np.vstack([self.points, place])))
-
-    def then(self, place: Place) -> Strand:
-        """With a place more, not pulled taut."""
-        return Strand(np.vstack([self.points, place]))
-
-    @property
-    def length(self) -> float:
-        """Metres that are out."""
-        points = self.points.tolist()
-        return math.fsum(map(math.dist, points, points[1:]))
-
-    @property
-    def turns(self) -> float:
-        """Turns of all its bends together, to either side."""
-        along = np.diff(_simplified(self.points), axis=0)
-        along /= np.linalg.norm(along, axis=1)[:, None]
-        cosines = (along[:-1] * along[1:]).sum(axis=1)
-        return float(np.arccos(np.clip(cosines, -1.0, 1.0)).sum() / (2.0 * math.pi))
-
-    def pieces(self, count: int) -> list[Strand]:
-        """So many that are alike long, from the anchor on."""
-        along = np.concatenate([[0.0], np.linalg.norm(np.diff(self.points, axis=0), axis=1).cumsum()])
-        cuts = np.linspace(0.0, along[-1], count + 1)
-        ends = np.stack([np.interp(cuts, along, axis) for axis in self.points.T], axis=1)
-        return [
-            Strand(np.vstack([ends[k], self.points[(along > cuts[k]) & (along < cuts[k + 1])], ends[k + 1]]))
-            for k in range(count)
-        ]
-
-    def beside(self, points: FloatArray, water: FreeWater, reach: float) -> BoolArray:
-        """Which of (n, 3) points lie so many metres beside it, with free water in between."""
-        from dream.mapping._kernels.strings import beside
-
-        return np.asarray(beside(water, self.points, points, reach))
-
-
-def _simplified(points: FloatArray) -> FloatArray:
-    """The vertices that a polygon needs to stay within `BEND` of all (Douglas and Peucker, 1973)."""
-    first, last = points[0], points[-1]
-    along = last - first
-    square = float(along @ along)
-    share = np.clip((points - first) @ along / square, 0.0, 1.0) if square > 0.0 else np.zeros(len(points))
-    aside = np.linalg.norm(points - first - share[:, None] * along, axis=1)
-    k = int(aside.argmax())
-    if aside[k] > BEND:
-        return np.concatenate([_simplified(points[: k + 1])[:-1], _simplified(points[k:])])
-    return points[[0, -1]] if square > 0.0 else points[:1]
-
-
-def free_water(occupancy: OccupancyMap) -> FreeWater:
-    """What a map knows to be free, at all heights alike under a planar protocol; the same to all who ask
-    until it changes."""
-
-    def find() -> FreeWater:
+    def find() -> Water:
         if occupancy.volume is not None:
-            return occupancy.volume.free_water()
+            return Water.of(occupancy.volume.free_water())
         bounds = occupancy.bounds
-        return flat_water(occupancy.traversable, (bounds.x_min, bounds.y_min), occupancy.protocol.cell)
+        free = flat_water(occupancy.traversable, (bounds.x_min, bounds.y_min), occupancy.protocol.cell)
+        return Water(free, free)
 
-    return occupancy.answer("free water", find)
+    return occupancy.answer("water", find)
+
+
+@dataclass(frozen=True, slots=True)
+class _Back:
+    """A way back."""
+
+    moves: list[Decision]
+    lies: list[Tether]
+    """How the tether may lie after each."""
+    over: float
+    """How far it is beyond its limits at most, as a share of them."""
+    short: int
+    """Moves for which there is not enough; 0 where there is for all."""
+    out: float
+    """Metres that stay out at its end."""
+
+    @property
+    def cost(self) -> tuple[float, int, float]:
+        return self.over, self.short, self.out
 
 
 @dataclass(slots=True, eq=False)
@@ -132,8 +86,8 @@ class TetherKeeper:
 
     metres: float
     anchor: Place
-    strand: Strand = field(init=False)
-    """How it lies."""
+    lies: Tether = field(init=False)
+    """How it may lie."""
     trail: Strand = field(init=False)
     """The last way on which all of it would have come in, and the way from there: one of the body, at
     the side of the tether, which itself passes where the body does not fit."""
@@ -142,16 +96,27 @@ class TetherKeeper:
     plan: list[tuple[SE2, float, Decision]] = field(default_factory=list)
     """The way that it is on: from where each move leads. Ways found anew at every step may differ, and lead
     to and fro."""
+    led: list[Place] = field(default_factory=list)
+    """Places to which it was led by another way than was asked for."""
+    closed: list[tuple[Place, float]] = field(default_factory=list)
+    """Places that were asked for, to which no way leads that it allows, or that are asked for once more; and
+    metres around them that are closed to planners."""
     _goal: Place | None = None
     """Where that ends."""
+    _water: Water | None = None
+    _moved: dict[tuple[Tether, Place], Tether] = field(default_factory=dict)
+    """How it may lie once it was moved to a place, in that water: many of the ways that are looked for begin
+    alike."""
+    _backs: dict[tuple[Tether, SE2, float], _Back | None] = field(default_factory=dict)
+    """Ways back from where it lies so, in that water."""
 
     def __post_init__(self) -> None:
-        self.strand = self.trail = Strand.at(self.anchor)
+        self.lies, self.trail = Tether.at(self.anchor), Strand.at(self.anchor)
 
     @property
     def leash(self) -> Leash:
         """How far planners may go with it."""
-        return Leash(self.anchor, (1.0 - SLACK) * self.metres - ROUGH)
+        return Leash(self.anchor, (1.0 - SLACK) * self.metres - ROUGH, tuple(self.closed))
 
     @property
     def margin(self) -> float:
@@ -166,20 +131,21 @@ class TetherKeeper:
         """The vehicle has made a move, straight to where it is."""
         self.sigma = sigma
         place = self.place(seen.pose, seen.z, occupancy)
-        self.strand = self.strand.to(place, free_water(occupancy))
+        self.lies = self.lies.to(place, water_in(occupancy))
         self.trail = self.trail.then(place)
         planned = self.plan[0][2] if self.plan else None
         self.plan = self.plan[1:] if planned == replace(move, reasoning=Reasoning(), waited=0.0) else []
 
     def way_on(
-        self, goals: tuple[Place, ...], seen: Observation, occupancy: OccupancyMap
+        self, goals: tuple[Place, ...], seen: Observation, occupancy: OccupancyMap, affords: Affords
     ) -> list[Decision] | None:
-        """The rest of the way that it is on, while that leads to one of some goals and its next move is free;
-        else another, which it is on then. None where none is known."""
-        if not (self._goal in goals and self._is_on_plan(seen, occupancy)):
+        """The rest of the way that it is on, while that leads to one of some goals, its next move is free and
+        there is enough for it; else another, which it is on then. None where none is known."""
+        rest = [move for _, _, move in self.plan]
+        if not (self._goal in goals and self._is_on_plan(seen, occupancy) and affords(rest)):
             self.plan = []
             for goal in goals:
-                way = self.way(self.strand, seen.pose, seen.z, occupancy, goal)
+                way = self.way(self.lies, seen.pose, seen.z, occupancy, goal, affords)
                 if way is None:
                     continue
                 pose, z, self._goal = seen.pose, seen.z, goal
@@ -188,7 +154,7 @@ class TetherKeeper:
                     pose, z = after(pose, z, move, occupancy)
                 return way
             return None
-        return [move for _, _, move in self.plan]
+        return rest
 
     def _is_on_plan(self, seen: Observation, occupancy: OccupancyMap) -> bool:
         if not self.plan:
@@ -197,39 +163,54 @@ class TetherKeeper:
         near = protocol.snap(seen.pose) == protocol.snap(pose) and abs(seen.z - z) < 0.5 * protocol.lattice
         return near and guard(move, seen.pose, occupancy, protocol, seen.z).decision == move
 
-    def balances(self, strand: Strand) -> tuple[Balance, Balance]:
-        """How it stands with a strand: what is out, and what bends it."""
+    def balances(self, tether: Tether) -> tuple[Balance, Balance]:
+        """How it stands with a tether: what is out, and what bends it."""
         return (
-            Balance("tether", "m", self.metres, strand.length, self.margin),
-            Balance("winding", "turns", MOST_TURNS, strand.turns, SLACK_TURNS),
+            Balance("tether", "m", self.metres, tether.length, self.margin),
+            Balance("winding", "turns", MOST_TURNS, tether.turns, SLACK_TURNS),
         )
 
     def along(
-        self, moves: list[Decision], strand: Strand, pose: SE2, z: float, occupancy: OccupancyMap
-    ) -> list[Strand] | None:
-        """How it lies after each of some moves; None where one of them would make it too long, or wind it too
-        far. What is too much already may not become more.
+        self, moves: list[Decision], tether: Tether, pose: SE2, z: float, occupancy: OccupancyMap
+    ) -> Iterator[Tether]:
+        """How it may lie after each of some moves.
 
         Args:
             moves: To be made.
-            strand: Before them.
+            tether: Before them.
             pose: Likewise.
             z: Likewise.
             occupancy: What is known.
         """
-        most = [max(one.left - one.margin, one.way + 1e-6) for one in self.balances(strand)]
-        water, lies = free_water(occupancy), []
+        water = self._known(occupancy)
         for move in moves:
             pose, z = after(pose, z, move, occupancy)
             if move.advance > 0.0 or move.climb != 0.0:
-                strand = strand.to(self.place(pose, z, occupancy), water)
-            if strand.length > most[0] or strand.turns > most[1]:
-                return None
-            lies.append(strand)
-        return lies
+                place = self.place(pose, z, occupancy)
+                if (tether, place) not in self._moved:
+                    self._moved[tether, place] = tether.to(place, water)
+                tether = self._moved[tether, place]
+            yield tether
+
+    def over(self, tether: Tether, before: Tether, *, back: bool = False) -> float:
+        """How far it is beyond its limits, as a share of them; 0 where it is not.
+
+        What was too much before may be as much. The way back may use what is kept back.
+        """
+        most = 0.0
+        for now, then in zip(self.balances(tether), self.balances(before), strict=True):
+            limit = max(now.left if back else now.left - now.margin, then.way + 1e-6)
+            most = max(most, (now.way - limit) / now.left)
+        return most
 
     def way(
-        self, strand: Strand, pose: SE2, z: float, occupancy: OccupancyMap, goal: Place
+        self,
+        tether: Tether,
+        pose: SE2,
+        z: float,
+        occupancy: OccupancyMap,
+        goal: Place,
+        affords: Affords = lambda moves: True,
     ) -> list[Decision] | None:
         """The moves of a way that the tether allows; None where none is known.
 
@@ -237,59 +218,122 @@ class TetherKeeper:
         leads back along it as far as needed, and on from there.
 
         Args:
-            strand: How it lies.
+            tether: How it lies.
             pose: From where: here, or one move on.
             z: At which height.
             occupancy: What is known.
             goal: Where to.
+            affords: Is there enough for some moves? To the anchor, a way for which there is not is the last.
         """
-        if goal == self.anchor:
-            back = self._way_back(strand, pose, z, occupancy)
-            return None if back is None else back[0]
-        if (on := self._way_on(strand, pose, z, occupancy, goal)) is not None:
+        if goal != self.anchor and (on := self._way_on(tether, pose, z, occupancy, goal)) is not None:
             return on
-        moves, lies = self._way_back(strand, pose, z, occupancy) or ([], [])
-        for k, strand in enumerate(lies):
-            pose, z = after(pose, z, moves[k], occupancy)
-            if (on := self._way_on(strand, pose, z, occupancy, goal)) is not None:
-                return [*moves[: k + 1], *on]
+        back = self._way_back(tether, pose, z, occupancy, affords)
+        if back is None or goal == self.anchor:
+            return None if back is None else back.moves
+        for k, lies in enumerate(back.lies):
+            if self.over(lies, tether, back=True):
+                break
+            pose, z = after(pose, z, back.moves[k], occupancy)
+            if (on := self._way_on(lies, pose, z, occupancy, goal)) is not None:
+                return [*back.moves[: k + 1], *on]
         return None
 
+    def left_out(self, tether: Tether, pose: SE2, z: float, occupancy: OccupancyMap) -> tuple[float, float]:
+        """How far it is beyond its limits on the best way back, as a share of them, and how many metres stay
+        out at its end; both 0 where a way is known on which all of it comes in, however it lies."""
+        back = self._way_back(tether, pose, z, occupancy)
+        return (math.inf, math.inf) if back is None else (back.over, back.out)
+
+    def close(self, place: Place, here: Place) -> None:
+        """Let planners no more go near a place that was asked for from here."""
+        self.closed.append((place, min(CLOSED, 0.6 * math.dist(place, here))))
+
+    def leads_anew(self, place: Place) -> bool:
+        """Is it led to a place for the first time? Else it might be led to and fro for ever."""
+        anew = all(math.dist(place, other) > AGAIN for other in self.led)
+        self.led.append(place)
+        return anew
+
     def _way_on(
-        self, strand: Strand, pose: SE2, z: float, occupancy: OccupancyMap, goal: Place
+        self, tether: Tether, pose: SE2, z: float, occupancy: OccupancyMap, goal: Place
     ) -> list[Decision] | None:
-        """The shortest way, where the tether allows it."""
-        moves = way_home(pose, z, occupancy, goal)
-        allowed = moves is not None and self.along(moves, strand, pose, z, occupancy) is not None
-        return moves if allowed else None
+        """The shortest way, where the tether allows it and a way back from its end."""
+        moves, lies = way_home(pose, z, occupancy, goal), tether
+        if moves is None:
+            return None
+        for lies in self.along(moves, tether, pose, z, occupancy):
+            if self.over(lies, tether):
+                return None
+        for move in moves:
+            pose, z = after(pose, z, move, occupancy)
+        return None if any(self.left_out(lies, pose, z, occupancy)) else moves
 
     def _way_back(
-        self, strand: Strand, pose: SE2, z: float, occupancy: OccupancyMap
-    ) -> tuple[list[Decision], list[Strand]] | None:
-        """A way on which nothing of it stays out; where none is known, the shortest that it allows. And how
-        the tether lies after each move.
+        self, tether: Tether, pose: SE2, z: float, occupancy: OccupancyMap, affords: Affords | None = None
+    ) -> _Back | None:
+        """A way on which nothing of it stays out; where none is known, that on which it is the least beyond
+        its limits, and of those where the least stays out.
 
-        The way leads beside the tether, or beside the trail; from here it is the trail from then on.
+        The way leads beside the tether, or beside the trail; from here it is the trail from then on. Who is
+        back where the tether may be in is there.
         """
-        here = self.place(pose, z, occupancy)
-        trail = self.trail.then(here)
-        # One after the other, each looked for only where those before lead nowhere.
+        self._known(occupancy)
+        asked = tether, pose, z
+        if asked not in self._backs:
+            self._backs[asked] = self._find_back(*asked, occupancy, lambda moves: True)
+        back = self._backs[asked]
+        if affords is not None and back is not None and not affords(back.moves):
+            back = self._find_back(*asked, occupancy, affords)
+        if back is not None and tether is self.lies and not (back.over or back.out):
+            here = self.place(pose, z, occupancy)
+            ahead = places(pose, here[2], back.moves, occupancy)
+            self.trail = Strand(np.array([self.anchor, *ahead[::-1], here]))
+        return back
+
+    def _known(self, occupancy: OccupancyMap) -> Water:
+        """Where it may lie; what was found out in other water is forgotten."""
+        water = water_in(occupancy)
+        if self._water is not water:
+            self._water, self._moved, self._backs = water, {}, {}
+        return water
+
+    def _find_back(
+        self, tether: Tether, pose: SE2, z: float, occupancy: OccupancyMap, affords: Affords
+    ) -> _Back | None:
+        protocol = occupancy.protocol
+        if min(one.length for one in tether.strands) <= HOME and (
+            node_of(pose, z, protocol) == node_of(SE2(*self.anchor[:2], 0.0), self.anchor[2], protocol)
+        ):
+            return _Back([], [], 0.0, 0, 0.0)
+        trail = self.trail.then(self.place(pose, z, occupancy))
+        # One after the other, each looked for only where those before leave some of it out.
         ways = [
-            partial(self._way_along, strand, 1),
+            partial(self._way_along, tether.strands[0], 1),
+            partial(self._way_along, tether.strands[-1], 1),
             *(partial(self._way_along, trail, pieces) for pieces in PIECES),
             partial(self._as_it_came, trail),
+            partial(way_home, home=self.anchor),
         ]
+        best: _Back | None = None
+        looked_at: list[list[Decision]] = []
         for way in ways:
             moves = way(pose, z, occupancy)
-            lies = None if moves is None else self.along(moves, strand, pose, z, occupancy)
-            if moves is not None and lies is not None and [strand, *lies][-1].length <= HOME:
-                if strand is self.strand:
-                    ahead = places(pose, here[2], moves, occupancy)
-                    self.trail = Strand(np.array([self.anchor, *ahead[::-1], here]))
-                return moves, lies
-        moves = way_home(pose, z, occupancy, self.anchor)
-        lies = None if moves is None else self.along(moves, strand, pose, z, occupancy)
-        return None if moves is None or lies is None else (moves, lies)
+            if moves is None or moves in looked_at:
+                continue
+            looked_at.append(moves)
+            over, along = 0.0, list[Tether]()
+            for lies in self.along(moves, tether, pose, z, occupancy):
+                over = max(over, self.over(lies, tether, back=True))
+                along.append(lies)
+                if best is not None and over > best.over:
+                    break
+            out = max([tether, *along][-1].length - HOME, 0.0)
+            back = _Back(moves, along, over, 0 if affords(moves) else len(moves), out)
+            if best is None or back.cost < best.cost:
+                best = back
+            if not any(best.cost):
+                break
+        return best
 
     def _way_along(
         self, string: Strand, pieces: int, pose: SE2, z: float, occupancy: OccupancyMap
@@ -298,7 +342,7 @@ class TetherKeeper:
         moves: list[Decision] = []
         for k, piece in reversed(list(enumerate(string.pieces(pieces)))):
             x, y, up = piece.points[0].tolist()
-            beside = partial(piece.beside, water=free_water(occupancy), reach=BESIDE)
+            beside = partial(piece.beside, water=water_in(occupancy).free, reach=BESIDE)
             more = way_home(pose, z, occupancy, (x, y, up), beside, near=BESIDE if k else 0.0)
             if more is None:
                 return None

@@ -60,12 +60,13 @@ def way_home(
         path = travel.path_to_node(int(ends[np.argmin(travel.nearest[ends])]))
         return [Decision(*travel.move(a, b)) for a, b in pairwise(path)]
     ways = ways_in_space(occupancy)
+    positions = ways.positions
     if kept_to is not None:
         stands = ways.stands.copy()
-        stands[ways.stands > 0] = kept_to(ways.positions[ways.stands > 0])
+        stands[ways.stands > 0] = kept_to(positions[ways.stands > 0])
         ways = replace(ways, stands=stands, _from={})
     if near > 0.0:
-        goal = np.linalg.norm(ways.positions - home, axis=-1) <= near
+        goal = np.linalg.norm(positions - home, axis=-1) <= near
     else:
         goal = np.zeros(ways.shape, np.bool_)
         goal[ways.node(*home)] = True

@@ -29,6 +29,8 @@ class Leash:
     anchor: tuple[float, float, float]
     """x, y and z, metres in the world."""
     metres: float
+    closed: tuple[tuple[tuple[float, float, float], float], ...] = ()
+    """Places to which no way leads on it, and how far around each it reaches no point."""
 
     def lengths(
         self, water: FreeWater, first: FloatArray, spacing: float, shape: tuple[int, int, int]
@@ -43,7 +45,14 @@ class Leash:
         """
         from dream.mapping._kernels import strings as kernels
 
-        return np.asarray(kernels.lengths(water, np.array(self.anchor), first, spacing, shape, self.metres))
+        lengths = np.asarray(
+            kernels.lengths(water, np.array(self.anchor), first, spacing, shape, self.metres)
+        )
+        x, y, z = (first[k] + spacing * np.arange(shape[2 - k]) for k in range(3))
+        for place, radius in self.closed:
+            away = np.hypot((z - place[2])[:, None], y - place[1])[:, :, None]
+            lengths[np.hypot(away, x - place[0]) <= radius] = np.inf
+        return lengths
 
 
 def flat_water(free: npt.NDArray[np.bool_], corner: tuple[float, float], cell: float) -> FreeWater:

@@ -325,11 +325,24 @@ def _released(water, points):
 
 
 @njit(cache=True, nogil=True)
+def _cut_all(water, chain, count):
+    """Cut each corner of a string once; the vertices that it then has."""
+    i = SECOND
+    while i < count - 1:
+        after = _cut(water, chain, count, i)
+        # Where a vertex fell out, the one before has other neighbours.
+        i = max(i - 1, SECOND) if after < count else i + 1
+        count = after
+    return count
+
+
+@njit(cache=True, nogil=True)
 def tighten(water, points):
     """A string pulled tight without taking it across what is not free.
 
-    What lies in what is not free, since the map changed its mind, is led round it first, or stays where no
-    way round is near.
+    It stays where it lies over something: a vertex moves in the plane of its neighbours alone. What lies in
+    what is not free, since the map changed its mind, is led round it first, or stays where no way round is
+    near.
 
     Args:
         water: Where it may lie.
@@ -342,20 +355,62 @@ def tighten(water, points):
         if _way_to_first(water, _at(points, i - 1), _at(points, i)) < 1.0:
             points = _released(water, points)
             break
+    return _pulled(water, points, False)
+
+
+@njit(cache=True, nogil=True)
+def slide(water, points):
+    """A string pulled tight that slides off what it lies over, to where it is shorter nearby.
+
+    Args:
+        water: Where it may lie.
+        points: (n, 3) its vertices, pulled tight; the ends stay.
+
+    Returns:
+        (m, 3) its vertices.
+    """
+    return _pulled(water, points, True)
+
+
+@njit(cache=True, nogil=True)
+def tighten_end(water, points):
+    """A string of which the last corner alone is pulled tight, and what corner is the last then.
+
+    Args:
+        water: Where it may lie.
+        points: (n, 3) its vertices; the ends stay.
+
+    Returns:
+        (m, 3) its vertices.
+    """
+    count = len(points)
+    chain = np.empty((count + PASSES, 3))
+    for i in range(count):
+        _put(chain, i, _at(points, i))
+    length = _length(chain, count)
+    for _ in range(PASSES):
+        if count < 3:
+            break
+        count = _cut(water, chain, count, count - 2)
+        shorter = _length(chain, count)
+        if shorter > length - GAIN:
+            break
+        length = shorter
+    return chain[:count].copy()
+
+
+@njit(cache=True, nogil=True)
+def _pulled(water, points, slides):
     count = len(points)
     chain = np.empty((4 * count + 256, 3))
     for i in range(count):
         _put(chain, i, _at(points, i))
     length = _length(chain, count)
     for _ in range(PASSES):
-        i = SECOND
-        while i < count - 1:
-            after = _cut(water, chain, count, i)
-            # Where a vertex fell out, the one before has other neighbours.
-            i = max(i - 1, SECOND) if after < count else i + 1
-            count = after
-        for i in range(1, count - 1):
-            _slide(water, chain, i)
+        count = _cut_all(water, chain, count)
+        if slides:
+            for i in range(1, count - 1):
+                _slide(water, chain, i)
         shorter = _length(chain, count)
         if shorter > length - GAIN:
             break

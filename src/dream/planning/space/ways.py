@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -27,7 +28,7 @@ Node = tuple[int, int, int]
 """Level, row and column of a node of the lattice, counted from the first in the box."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class KnownWays:
     """The lattice in three dimensions over a box, and where in it the body fits by what is known.
 
@@ -58,7 +59,7 @@ class KnownWays:
         levels, rows, cols = self.stands.shape
         return levels, rows, cols
 
-    @property
+    @cached_property
     def positions(self) -> FloatArray:
         """(levels, rows, cols, 3) metres in the world."""
         at = np.moveaxis(np.indices(self.shape), 0, -1) + np.array(self.first)
