@@ -15,7 +15,7 @@ from dream.commands.homing import Homing
 from dream.evaluation.runner import simulate
 from dream.geometry import SE2, Bounds, FloatArray
 from dream.homeward import Budget, tether
-from dream.homeward.strands import WAYS, Strand, Tether, Water
+from dream.homeward.strands import WAYS, Strand, Strands, StrandWater
 from dream.homeward.tether import MOST_TURNS, TetherKeeper
 from dream.homeward.ways import after
 from dream.mapping import OccupancyMap
@@ -54,18 +54,18 @@ def pillar(radius: float) -> FreeWater:
 OPEN = water_without(lambda x, y: np.zeros(x.shape, np.bool_))
 
 
-def level(free: FreeWater) -> Water:
+def level(free: FreeWater) -> StrandWater:
     """As it is at one height."""
-    return Water(free, free)
+    return StrandWater(free, free)
 
 
 def along(water: FreeWater, places: list[tuple[float, float]]) -> Strand:
     """Of a vehicle that went straight from place to place, at one height: there it lies in one way alone."""
-    lies = Tether.at((*places[0], 0.0))
+    lies = Strands.at((*places[0], 0.0))
     for place in places[1:]:
         lies = lies.to((*place, 0.0), level(water))
-        assert len(lies.strands) == 1
-    return lies.strands[0]
+        assert len(lies.ways) == 1
+    return lies.ways[0]
 
 
 def circle(radius: float, turns: float) -> list[tuple[float, float]]:
@@ -126,55 +126,55 @@ def test_the_sides_of_a_pillar_are_told_apart() -> None:
 def test_in_space_it_goes_over_a_wall_the_short_way() -> None:
     free = np.ones((20, 40, 40), np.uint8)
     free[:8, :, 20] = 0
-    water = Water.of(FreeWater(free, np.zeros(3), np.full(3, CELL)))
-    lies = Tether.at((2.0, 5.0, 1.0))
+    water = StrandWater.of(FreeWater(free, np.zeros(3), np.full(3, CELL)))
+    lies = Strands.at((2.0, 5.0, 1.0))
     for place in [(2.0, 8.0, 4.0), (8.0, 8.0, 4.0), (8.0, 5.0, 1.0)]:
         lies = lies.to(place, water)
     # Over the edge at z = 2 between x = 5 and 5.25, straight across.
     exact = math.hypot(3.0, 1.0) + CELL + math.hypot(2.75, 1.0)
-    (strand,) = lies.strands
+    (strand,) = lies.ways
     assert exact - 1e-6 <= strand.slid(water.free).length <= exact + 0.15
     # Held a box away from the wall's edge at most, where that is no other way to lie.
     assert exact <= strand.length <= exact + 0.75
 
 
-def boulder(height: float) -> Water:
+def boulder(height: float) -> StrandWater:
     """A pyramid with its foot of 8 m around the middle, on the ground at z = 0; and water to z = 5."""
     at = np.arange(-HALF + 0.5 * CELL, HALF, CELL)
     east, north = np.meshgrid(at, at)
     top = height * (1.0 - np.maximum(abs(east), abs(north)) / 4.0)
     levels = np.arange(0.5 * CELL, 5.0, CELL)
     free = (levels[:, None, None] > top[None]).astype(np.uint8)
-    return Water.of(FreeWater(free, np.array([-HALF, -HALF, 0.0]), np.full(3, CELL)))
+    return StrandWater.of(FreeWater(free, np.array([-HALF, -HALF, 0.0]), np.full(3, CELL)))
 
 
 def test_what_it_lies_over_it_may_stay_on_or_slide_off() -> None:
     water = boulder(3.0)
     over = [(-8.0, 1.5, 3.5), (8.0, 1.5, 3.5), (8.0, 1.5, 0.5), (8.0, 4.5, 0.5)]
-    lies = Tether.at((-8.0, 1.5, 0.5))
+    lies = Strands.at((-8.0, 1.5, 0.5))
     for place in over:
         lies = lies.to(place, water)
     straight = math.hypot(16.0, 3.0)
-    assert lies.strands[-1].length <= straight + 0.25
-    assert lies.strands[0].points[:, 2].max() > 1.5
+    assert lies.ways[-1].length <= straight + 0.25
+    assert lies.ways[0].points[:, 2].max() > 1.5
     assert lies.length > straight + 0.5
     # Had it slid off to the north, going back as it came would wind it round the boulder.
     for place in [*over[-2::-1], (-8.0, 1.5, 0.5)]:
         lies = lies.to(place, water)
-    assert lies.strands[-1].length == pytest.approx(0.0, abs=1e-6)
+    assert lies.ways[-1].length == pytest.approx(0.0, abs=1e-6)
     assert lies.length > 20.0
     assert lies.turns > 0.5
 
 
 def test_of_ways_to_lie_the_longest_and_the_shortest_are_kept() -> None:
     rng, water = np.random.default_rng(1), boulder(3.0)
-    lies, least = Tether.at((-8.0, 0.0, 0.5)), Strand.at((-8.0, 0.0, 0.5))
+    lies, least = Strands.at((-8.0, 0.0, 0.5)), Strand.at((-8.0, 0.0, 0.5))
     most = 1
     for x, y in rng.uniform(-10.0, 10.0, (60, 2)):
         for place in [(x, y, 4.5), (x, y, 0.5)][: 2 if max(abs(x), abs(y)) > 4.5 else 1]:
             lies = lies.to(place, water)
             least = least.to(place, water.free).slid(water.free)
-            lengths = [one.length for one in lies.strands]
+            lengths = [one.length for one in lies.ways]
             assert lengths == sorted(lengths, reverse=True)
             assert lies.length >= math.dist((-8.0, 0.0, 0.5), place) - 1e-6
             most = max(most, len(lengths))
@@ -183,7 +183,7 @@ def test_of_ways_to_lie_the_longest_and_the_shortest_are_kept() -> None:
 
 def test_what_turns_out_to_be_solid_where_it_lies_it_goes_round_on_its_side() -> None:
     strand = along(square(4.0), [(-6.0, 0.0), (-6.0, 5.0), (6.0, 5.0), (6.0, 0.0)])
-    wider = Tether((strand,)).to((6.0, 0.0, 0.0), level(square(5.0)))
+    wider = Strands((strand,)).to((6.0, 0.0, 0.0), level(square(5.0)))
     assert wider.length == pytest.approx(2.0 * math.hypot(3.5, 2.5) + 5.0, abs=0.15)
     again = wider.to((6.0, 0.0, 0.0), level(square(4.0)))
     assert again.length == pytest.approx(strand.length, abs=0.1)
@@ -273,17 +273,17 @@ def test_to_another_place_it_goes_back_as_far_as_needed_and_round(monkeypatch: p
     way = held.way(held.lies, pose, 0.0, occupancy, goal)
     assert way is not None
     *_, last = held.along(way, held.lies, pose, 0.0, occupancy)
-    assert last.strands[0].points[-1] == pytest.approx(goal, abs=0.3)
+    assert last.ways[0].points[-1] == pytest.approx(goal, abs=0.3)
     assert last.turns < 0.3
 
 
 def test_who_is_back_where_the_tether_may_be_in_is_home(monkeypatch: pytest.MonkeyPatch) -> None:
     held, _, occupancy = wound(12, monkeypatch)
     held.lies = held.lies.to(held.anchor, level(pillar(2.0)))
-    out, back = held.lies.strands[0], SE2(*held.anchor[:2], 0.0)
+    out, back = held.lies.ways[0], SE2(*held.anchor[:2], 0.0)
     assert out.length > 10.0
     assert held.way(held.lies, back, 0.0, occupancy, held.anchor)
-    held.lies = Tether((out, Strand.at(held.anchor)))
+    held.lies = Strands((out, Strand.at(held.anchor)))
     assert held.way(held.lies, back, 0.0, occupancy, held.anchor) == []
 
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from dream.geometry import SE2
 from dream.homeward.budget import Budget
 from dream.homeward.pace import DEVIATIONS, SPEED, TURN_RATE, Pace, nominal_seconds
-from dream.homeward.strands import Tether
+from dream.homeward.strands import Strands
 from dream.homeward.tether import TetherKeeper
 from dream.homeward.ways import Node, Place, after, move_to, node_of, places, way_home
 from dream.types import LOOK_AROUND, Arrival, Balance, Decision, Home, Observation, Reasoning
@@ -257,7 +257,7 @@ class Homeward:
             self._came.append(here)
 
     @property
-    def _lies(self) -> Tether | None:
+    def _lies(self) -> Strands | None:
         return None if self.tether is None else self.tether.lies
 
     @property
@@ -268,7 +268,7 @@ class Homeward:
         return (*self.budget.home, self.start[2]), self.start
 
     def _way(
-        self, pose: SE2, z: float, occupancy: OccupancyMap, lies: Tether | None
+        self, pose: SE2, z: float, occupancy: OccupancyMap, lies: Strands | None
     ) -> list[Decision] | None:
         """The way home."""
         if self.tether is None or lies is None:
@@ -290,7 +290,7 @@ class Homeward:
         return all(one.way <= one.left for one in balances)
 
     def _balances(
-        self, way: list[Decision], seen: Observation, steps: int, waited: float, lies: Tether | None
+        self, way: list[Decision], seen: Observation, steps: int, waited: float, lies: Strands | None
     ) -> tuple[Balance, ...]:
         """What is left now, after so many seconds of waiting, and what a way takes of it from here on; and
         how a tether lies."""

@@ -30,7 +30,7 @@ WAYS = 8
 """In which it may lie that are kept: the longest, and the shortest."""
 
 
-class Water(NamedTuple):
+class StrandWater(NamedTuple):
     """Where a tether may lie."""
 
     free: FreeWater
@@ -45,7 +45,7 @@ class Water(NamedTuple):
         return self.clear is self.free
 
     @classmethod
-    def of(cls, free: FreeWater) -> Water:
+    def of(cls, free: FreeWater) -> StrandWater:
         """With what is clear of it."""
         from scipy import ndimage
 
@@ -134,7 +134,7 @@ class Strand:
 
 
 @dataclass(frozen=True, eq=False)
-class Tether:
+class Strands:
     """All ways in which a tether may lie.
 
     What it does: what lies over something may stay there or slide off, which depends on friction and on what
@@ -144,18 +144,18 @@ class Tether:
     Fails when: there are more ways than `WAYS`. The longest are kept, and the shortest.
     """
 
-    strands: tuple[Strand, ...]
+    ways: tuple[Strand, ...]
     """The longest first."""
 
     @classmethod
-    def at(cls, anchor: Place) -> Tether:
+    def at(cls, anchor: Place) -> Strands:
         """Nothing of it is out."""
         return cls((Strand.at(anchor),))
 
-    def to(self, place: Place, water: Water) -> Tether:
+    def to(self, place: Place, water: StrandWater) -> Strands:
         """Once the vehicle has moved straight to a place."""
         found: list[Strand] = []
-        for strand in self.strands:
+        for strand in self.ways:
             taut, slid = strand.to(place, water.clear), strand.to(place, water.free).slid(water.free)
             found += [taut, slid] if taut.length - slid.length > SLIP else [slid]
             # A taut string gets shorter by no more than the way of its end, unless it comes off something.
@@ -168,17 +168,17 @@ class Tether:
             aside = np.array([other.sampled for other in kept]).reshape(-1, SAMPLES, 3) - one.sampled
             if ((aside**2).sum(axis=2).max(axis=1) > ASIDE**2).all():
                 kept.append(one)
-        return Tether(tuple(kept[: WAYS - 1] + kept[WAYS - 1 :][-1:]))
+        return Strands(tuple(kept[: WAYS - 1] + kept[WAYS - 1 :][-1:]))
 
     @cached_property
     def length(self) -> float:
         """Metres that may be out at most."""
-        return max(one.length for one in self.strands)
+        return max(one.length for one in self.ways)
 
     @cached_property
     def turns(self) -> float:
         """Turns that it may be wound at most."""
-        return max(one.turns for one in self.strands)
+        return max(one.turns for one in self.ways)
 
 
 def _simplified(points: FloatArray) -> FloatArray:

@@ -14,7 +14,7 @@ from dream.control import guard
 from dream.geometry import SE2
 from dream.homeward.budget import SLACK
 from dream.homeward.pace import DEVIATIONS
-from dream.homeward.strands import Strand, Tether, Water
+from dream.homeward.strands import Strand, Strands, StrandWater
 from dream.homeward.ways import Place, after, move_to, node_of, places, way_home
 from dream.mapping.leash import Leash, flat_water
 from dream.types import Balance, Decision, Observation, Reasoning
@@ -45,18 +45,18 @@ HOME = 1.0
 """Metres of tether that are out at most when the vehicle is back where it was launched."""
 
 
-def water_in(occupancy: OccupancyMap) -> Water:
+def water_in(occupancy: OccupancyMap) -> StrandWater:
     """What a map knows to be free; the same to all who ask until it changes.
 
     Under a planar protocol it is alike at all heights: nothing can slide over what is solid, or catch on it.
     """
 
-    def find() -> Water:
+    def find() -> StrandWater:
         if occupancy.volume is not None:
-            return Water.of(occupancy.volume.free_water())
+            return StrandWater.of(occupancy.volume.free_water())
         bounds = occupancy.bounds
         free = flat_water(occupancy.traversable, (bounds.x_min, bounds.y_min), occupancy.protocol.cell)
-        return Water(free, free)
+        return StrandWater(free, free)
 
     return occupancy.answer("water", find)
 
@@ -66,7 +66,7 @@ class _Back:
     """A way back."""
 
     moves: list[Decision]
-    lies: list[Tether]
+    lies: list[Strands]
     """How the tether may lie after each."""
     over: float
     """How far it is beyond its limits at most, as a share of them."""
@@ -86,7 +86,7 @@ class TetherKeeper:
 
     metres: float
     anchor: Place
-    lies: Tether = field(init=False)
+    lies: Strands = field(init=False)
     """How it may lie."""
     trail: Strand = field(init=False)
     """The last way on which all of it would have come in, and the way from there: one of the body, at
@@ -103,15 +103,15 @@ class TetherKeeper:
     metres around them that are closed to planners."""
     _goal: Place | None = None
     """Where that ends."""
-    _water: Water | None = None
-    _moved: dict[tuple[Tether, Place], Tether] = field(default_factory=dict)
+    _water: StrandWater | None = None
+    _moved: dict[tuple[Strands, Place], Strands] = field(default_factory=dict)
     """How it may lie once it was moved to a place, in that water: many of the ways that are looked for begin
     alike."""
-    _backs: dict[tuple[Tether, SE2, float], _Back | None] = field(default_factory=dict)
+    _backs: dict[tuple[Strands, SE2, float], _Back | None] = field(default_factory=dict)
     """Ways back from where it lies so, in that water."""
 
     def __post_init__(self) -> None:
-        self.lies, self.trail = Tether.at(self.anchor), Strand.at(self.anchor)
+        self.lies, self.trail = Strands.at(self.anchor), Strand.at(self.anchor)
 
     @property
     def leash(self) -> Leash:
@@ -163,7 +163,7 @@ class TetherKeeper:
         near = protocol.snap(seen.pose) == protocol.snap(pose) and abs(seen.z - z) < 0.5 * protocol.lattice
         return near and guard(move, seen.pose, occupancy, protocol, seen.z).decision == move
 
-    def balances(self, tether: Tether) -> tuple[Balance, Balance]:
+    def balances(self, tether: Strands) -> tuple[Balance, Balance]:
         """How it stands with a tether: what is out, and what bends it."""
         return (
             Balance("tether", "m", self.metres, tether.length, self.margin),
@@ -171,8 +171,8 @@ class TetherKeeper:
         )
 
     def along(
-        self, moves: list[Decision], tether: Tether, pose: SE2, z: float, occupancy: OccupancyMap
-    ) -> Iterator[Tether]:
+        self, moves: list[Decision], tether: Strands, pose: SE2, z: float, occupancy: OccupancyMap
+    ) -> Iterator[Strands]:
         """How it may lie after each of some moves.
 
         Args:
@@ -192,7 +192,7 @@ class TetherKeeper:
                 tether = self._moved[tether, place]
             yield tether
 
-    def over(self, tether: Tether, before: Tether, *, back: bool = False) -> float:
+    def over(self, tether: Strands, before: Strands, *, back: bool = False) -> float:
         """How far it is beyond its limits, as a share of them; 0 where it is not.
 
         What was too much before may be as much. The way back may use what is kept back.
@@ -205,7 +205,7 @@ class TetherKeeper:
 
     def way(
         self,
-        tether: Tether,
+        tether: Strands,
         pose: SE2,
         z: float,
         occupancy: OccupancyMap,
@@ -238,7 +238,7 @@ class TetherKeeper:
                 return [*back.moves[: k + 1], *on]
         return None
 
-    def left_out(self, tether: Tether, pose: SE2, z: float, occupancy: OccupancyMap) -> tuple[float, float]:
+    def left_out(self, tether: Strands, pose: SE2, z: float, occupancy: OccupancyMap) -> tuple[float, float]:
         """How far it is beyond its limits on the best way back, as a share of them, and how many metres stay
         out at its end; both 0 where a way is known on which all of it comes in, however it lies."""
         back = self._way_back(tether, pose, z, occupancy)
@@ -255,7 +255,7 @@ class TetherKeeper:
         return anew
 
     def _way_on(
-        self, tether: Tether, pose: SE2, z: float, occupancy: OccupancyMap, goal: Place
+        self, tether: Strands, pose: SE2, z: float, occupancy: OccupancyMap, goal: Place
     ) -> list[Decision] | None:
         """The shortest way, where the tether allows it and a way back from its end."""
         moves, lies = way_home(pose, z, occupancy, goal), tether
@@ -269,7 +269,7 @@ class TetherKeeper:
         return None if any(self.left_out(lies, pose, z, occupancy)) else moves
 
     def _way_back(
-        self, tether: Tether, pose: SE2, z: float, occupancy: OccupancyMap, affords: Affords | None = None
+        self, tether: Strands, pose: SE2, z: float, occupancy: OccupancyMap, affords: Affords | None = None
     ) -> _Back | None:
         """A way on which nothing of it stays out; where none is known, that on which it is the least beyond
         its limits, and of those where the least stays out.
@@ -290,7 +290,7 @@ class TetherKeeper:
             self.trail = Strand(np.array([self.anchor, *ahead[::-1], here]))
         return back
 
-    def _known(self, occupancy: OccupancyMap) -> Water:
+    def _known(self, occupancy: OccupancyMap) -> StrandWater:
         """Where it may lie; what was found out in other water is forgotten."""
         water = water_in(occupancy)
         if self._water is not water:
@@ -298,18 +298,18 @@ class TetherKeeper:
         return water
 
     def _find_back(
-        self, tether: Tether, pose: SE2, z: float, occupancy: OccupancyMap, affords: Affords
+        self, tether: Strands, pose: SE2, z: float, occupancy: OccupancyMap, affords: Affords
     ) -> _Back | None:
         protocol = occupancy.protocol
-        if min(one.length for one in tether.strands) <= HOME and (
+        if min(one.length for one in tether.ways) <= HOME and (
             node_of(pose, z, protocol) == node_of(SE2(*self.anchor[:2], 0.0), self.anchor[2], protocol)
         ):
             return _Back([], [], 0.0, 0, 0.0)
         trail = self.trail.then(self.place(pose, z, occupancy))
         # One after the other, each looked for only where those before leave some of it out.
         ways = [
-            partial(self._way_along, tether.strands[0], 1),
-            partial(self._way_along, tether.strands[-1], 1),
+            partial(self._way_along, tether.ways[0], 1),
+            partial(self._way_along, tether.ways[-1], 1),
             *(partial(self._way_along, trail, pieces) for pieces in PIECES),
             partial(self._as_it_came, trail),
             partial(way_home, home=self.anchor),
@@ -321,7 +321,7 @@ class TetherKeeper:
             if moves is None or moves in looked_at:
                 continue
             looked_at.append(moves)
-            over, along = 0.0, list[Tether]()
+            over, along = 0.0, list[Strands]()
             for lies in self.along(moves, tether, pose, z, occupancy):
                 over = max(over, self.over(lies, tether, back=True))
                 along.append(lies)
