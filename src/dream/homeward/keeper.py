@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 
 SURPRISE = 0.15
 """Share by which a way may become longer since something solid shows in it: it was free by the map only."""
+ALIKE = 0.1
+"""Metres of tether that one way back may leave out more than another that is as good."""
 COMPLETE = "the mission is complete"
 """Why a mission goes home that has nothing left to do."""
 CRUISE_W = 100.0
@@ -121,9 +123,10 @@ class Homeward:
             before = self.tether.lies
             (lies,) = self.tether.along([move], before, seen.pose, seen.z, occupancy)
             too_far = self.tether.over(lies, before, back=self._unwinds_to is not None) > 0.0
-            left_out = self.tether.left_out(lies, pose, z, occupancy)
-            if too_far or left_out > self.tether.left_out(before, seen.pose, seen.z, occupancy):
-                self._unwind((pose.x, pose.y, z), seen, occupancy)
+            over, out = self.tether.left_out(lies, pose, z, occupancy)
+            over_now, out_now = self.tether.left_out(before, seen.pose, seen.z, occupancy)
+            if too_far or over > over_now + 1e-3 or out > out_now + ALIKE:
+                self._unwind(self.tether.place(pose, z, occupancy), seen, occupancy)
                 return False
         waited = self._waited if self.ticking else self._waited + move.waited
         short = self._short(move, self._way(pose, z, occupancy, lies), seen, steps, waited)
@@ -148,17 +151,25 @@ class Homeward:
         Planners are told then to go elsewhere.
         """
         assert self.tether is not None
-        if self._unwinds_to is None and self.tether.leads_anew(place):
-            self._unwinds_to = place
+        here = self.tether.place(seen.pose, seen.z, occupancy)
+        was_led, anew = self._unwinds_to is not None, self.tether.leads_anew(place)
+        self._unwinds_to = self._unwinds_to or place
+        if anew and not was_led and self._way_now(seen, occupancy):
+            return
+        if self.tether.close(self._unwinds_to, here, occupancy):
+            occupancy.hold(self.tether.leash)
+        elif not (anew or was_led):
+            # A place that it came along stays open, and may be asked for again.
             if self._way_now(seen, occupancy):
                 return
-        self.tether.close(self._unwinds_to or place, self.tether.place(seen.pose, seen.z, occupancy))
-        occupancy.hold(self.tether.leash)
+            self.why = f"no way that a tether of {self.tether.metres:g} m allows leads where it was to go"
         self._unwinds_to = self.start
         if self._way_now(seen, occupancy) is None:
+            self.why = f"no way that a tether of {self.tether.metres:g} m allows leads back"
+        if self.why:
             self._unwinds_to = None
-            self.why = f"no way that a tether of {self.tether.metres:g} m allows leads anywhere"
-        del self.tether.plan[1:]
+        else:
+            del self.tether.plan[1:]
 
     def _short(
         self, move: Decision, way: list[Decision] | None, seen: Observation, steps: int, waited: float
@@ -282,6 +293,8 @@ class Homeward:
         if self.tether is None:
             return self._way(seen.pose, seen.z, occupancy, None)
         goals = self._homes if self._unwinds_to is None else (self._unwinds_to,)
+        if self.why and goals == (self.start,) and self.tether.may_be_in(seen.pose, seen.z, occupancy):
+            return []
         return self.tether.way_on(goals, seen, occupancy, partial(self._affords_way, seen))
 
     def _affords_way(self, seen: Observation, way: list[Decision]) -> bool:

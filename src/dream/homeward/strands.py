@@ -51,7 +51,7 @@ class StrandWater(NamedTuple):
 
         near = 1 - free.free
         for axis in range(3):
-            near = ndimage.maximum_filter1d(near, 3, axis=axis, mode="constant")
+            near = ndimage.maximum_filter1d(near, 3, axis=axis, mode="constant", cval=1)
         return cls(free, free._replace(free=1 - near))
 
 
@@ -90,10 +90,12 @@ class Strand:
 
         return Strand(slide(water, self.points))
 
-    def then(self, place: Place) -> Strand:
-        """With a place more, not pulled taut; without the last one where that is back at the one before."""
-        back = len(self.points) > 1 and math.dist(self.points[-2], place) < BEND
-        return Strand(np.vstack([self.points[:-2] if back else self.points, place]))
+    def then(self, place: Place, near: float = 0.0) -> Strand:
+        """With a place more, not pulled taut; without the last where it is back so near the one before."""
+        count = len(self.points)
+        if count > 1 and math.dist(self.points[-2], place) < near:
+            count = max(count - 2, 1)
+        return Strand(np.vstack([self.points[:count], place]))
 
     @cached_property
     def length(self) -> float:
@@ -157,10 +159,14 @@ class Strands:
         found: list[Strand] = []
         for strand in self.ways:
             taut, slid = strand.to(place, water.clear), strand.to(place, water.free).slid(water.free)
-            found += [taut, slid] if taut.length - slid.length > SLIP else [slid]
+            found.append(slid)
+            if water.level:
+                continue
+            if taut.length - slid.length > SLIP:
+                found.append(taut)
             # A taut string gets shorter by no more than the way of its end, unless it comes off something.
             way = math.dist(strand.points[-1].tolist(), place)
-            if not water.level and taut.length < strand.length - way - SLIP:
+            if taut.length < strand.length - way - SLIP:
                 found.append(strand.held(place, water.clear))
         found.sort(key=lambda one: -one.length)
         kept: list[Strand] = []

@@ -107,8 +107,8 @@ class TetherKeeper:
     _moved: dict[tuple[Strands, Place], Strands] = field(default_factory=dict)
     """How it may lie once it was moved to a place, in that water: many of the ways that are looked for begin
     alike."""
-    _backs: dict[tuple[Strands, SE2, float], _Back | None] = field(default_factory=dict)
-    """Ways back from where it lies so, in that water."""
+    _backs: dict[tuple[Strands, SE2, float, Strand], _Back | None] = field(default_factory=dict)
+    """Ways back from where it lies so, after such a trail, in that water."""
 
     def __post_init__(self) -> None:
         self.lies, self.trail = Strands.at(self.anchor), Strand.at(self.anchor)
@@ -132,7 +132,7 @@ class TetherKeeper:
         self.sigma = sigma
         place = self.place(seen.pose, seen.z, occupancy)
         self.lies = self.lies.to(place, water_in(occupancy))
-        self.trail = self.trail.then(place)
+        self.trail = self.trail.then(place, 0.5 * occupancy.protocol.lattice)
         planned = self.plan[0][2] if self.plan else None
         self.plan = self.plan[1:] if planned == replace(move, reasoning=Reasoning(), waited=0.0) else []
 
@@ -225,8 +225,10 @@ class TetherKeeper:
             goal: Where to.
             affords: Is there enough for some moves? To the anchor, a way for which there is not is the last.
         """
-        if goal != self.anchor and (on := self._way_on(tether, pose, z, occupancy, goal)) is not None:
-            return on
+        if goal != self.anchor:
+            trail = self.trail.then(self.place(pose, z, occupancy))
+            if (on := self._way_on(tether, pose, z, occupancy, goal, trail)) is not None:
+                return on
         back = self._way_back(tether, pose, z, occupancy, affords)
         if back is None or goal == self.anchor:
             return None if back is None else back.moves
@@ -234,7 +236,8 @@ class TetherKeeper:
             if self.over(lies, tether, back=True):
                 break
             pose, z = after(pose, z, back.moves[k], occupancy)
-            if (on := self._way_on(lies, pose, z, occupancy, goal)) is not None:
+            trail = self._trail(back.moves[k + 1 :], pose, z, occupancy)
+            if (on := self._way_on(lies, pose, z, occupancy, goal, trail)) is not None:
                 return [*back.moves[: k + 1], *on]
         return None
 
@@ -244,9 +247,30 @@ class TetherKeeper:
         back = self._way_back(tether, pose, z, occupancy)
         return (math.inf, math.inf) if back is None else (back.over, back.out)
 
-    def close(self, place: Place, here: Place) -> None:
-        """Let planners no more go near a place that was asked for from here."""
-        self.closed.append((place, min(CLOSED, 0.6 * math.dist(place, here))))
+    def may_be_in(self, pose: SE2, z: float, occupancy: OccupancyMap) -> bool:
+        """Is the vehicle back where nothing of the tether need be out?"""
+        protocol, (x, y, up) = occupancy.protocol, self.anchor
+        there = node_of(pose, z, protocol) == node_of(SE2(x, y, 0.0), up, protocol)
+        return there and min(one.length for one in self.lies.ways) <= HOME
+
+    def close(self, place: Place, here: Place, occupancy: OccupancyMap) -> bool:
+        """Let planners no more go near a place that was asked for from here.
+
+        Returns:
+            False where that would close where the vehicle is, or a place that it came along.
+        """
+        protocol = occupancy.protocol
+        # Under a planar protocol the body keeps off what is closed, in space its middle does.
+        off = (
+            0.5 * protocol.lattice
+            if protocol.space
+            else protocol.body_radius + math.sqrt(2.0) * protocol.cell
+        )
+        came = [*self.trail.points.tolist(), here]
+        radius = min(CLOSED, 0.6 * math.dist(place, here), *(math.dist(place, one) - off for one in came))
+        if radius > 0.0:
+            self.closed.append((place, radius))
+        return radius > 0.0
 
     def leads_anew(self, place: Place) -> bool:
         """Is it led to a place for the first time? Else it might be led to and fro for ever."""
@@ -255,40 +279,52 @@ class TetherKeeper:
         return anew
 
     def _way_on(
-        self, tether: Strands, pose: SE2, z: float, occupancy: OccupancyMap, goal: Place
+        self, tether: Strands, pose: SE2, z: float, occupancy: OccupancyMap, goal: Place, trail: Strand
     ) -> list[Decision] | None:
-        """The shortest way, where the tether allows it and a way back from its end."""
+        """The shortest way, where the tether allows it and a way back from its end; after such a trail."""
         moves, lies = way_home(pose, z, occupancy, goal), tether
         if moves is None:
             return None
         for lies in self.along(moves, tether, pose, z, occupancy):
             if self.over(lies, tether):
                 return None
+        for x, y, up in places(pose, self.place(pose, z, occupancy)[2], moves, occupancy):
+            trail = trail.then((x, y, up), 0.5 * occupancy.protocol.lattice)
         for move in moves:
             pose, z = after(pose, z, move, occupancy)
-        return None if any(self.left_out(lies, pose, z, occupancy)) else moves
+        back = self._way_back(lies, pose, z, occupancy, trail=trail)
+        return None if back is None or back.over or back.out else moves
 
     def _way_back(
-        self, tether: Strands, pose: SE2, z: float, occupancy: OccupancyMap, affords: Affords | None = None
+        self,
+        tether: Strands,
+        pose: SE2,
+        z: float,
+        occupancy: OccupancyMap,
+        affords: Affords | None = None,
+        trail: Strand | None = None,
     ) -> _Back | None:
         """A way on which nothing of it stays out; where none is known, that on which it is the least beyond
         its limits, and of those where the least stays out.
 
-        The way leads beside the tether, or beside the trail; from here it is the trail from then on. Who is
-        back where the tether may be in is there.
+        The way leads beside the tether, or beside a trail, that of the mission and on to there unless given;
+        from here it is the trail from then on.
         """
         self._known(occupancy)
-        asked = tether, pose, z
+        asked = tether, pose, z, trail or self.trail
         if asked not in self._backs:
             self._backs[asked] = self._find_back(*asked, occupancy, lambda moves: True)
         back = self._backs[asked]
         if affords is not None and back is not None and not affords(back.moves):
             back = self._find_back(*asked, occupancy, affords)
         if back is not None and tether is self.lies and not (back.over or back.out):
-            here = self.place(pose, z, occupancy)
-            ahead = places(pose, here[2], back.moves, occupancy)
-            self.trail = Strand(np.array([self.anchor, *ahead[::-1], here]))
+            self.trail = self._trail(back.moves, pose, z, occupancy)
         return back
+
+    def _trail(self, back: list[Decision], pose: SE2, z: float, occupancy: OccupancyMap) -> Strand:
+        """To where a way back leads from, the other way round."""
+        here = self.place(pose, z, occupancy)
+        return Strand(np.array([self.anchor, *places(pose, here[2], back, occupancy)[::-1], here]))
 
     def _known(self, occupancy: OccupancyMap) -> StrandWater:
         """Where it may lie; what was found out in other water is forgotten."""
@@ -298,14 +334,15 @@ class TetherKeeper:
         return water
 
     def _find_back(
-        self, tether: Strands, pose: SE2, z: float, occupancy: OccupancyMap, affords: Affords
+        self,
+        tether: Strands,
+        pose: SE2,
+        z: float,
+        trail: Strand,
+        occupancy: OccupancyMap,
+        affords: Affords,
     ) -> _Back | None:
-        protocol = occupancy.protocol
-        if min(one.length for one in tether.ways) <= HOME and (
-            node_of(pose, z, protocol) == node_of(SE2(*self.anchor[:2], 0.0), self.anchor[2], protocol)
-        ):
-            return _Back([], [], 0.0, 0, 0.0)
-        trail = self.trail.then(self.place(pose, z, occupancy))
+        trail = trail.then(self.place(pose, z, occupancy))
         # One after the other, each looked for only where those before leave some of it out.
         ways = [
             partial(self._way_along, tether.ways[0], 1),
