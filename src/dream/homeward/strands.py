@@ -143,7 +143,9 @@ class Strands:
     is finer than the map. Both are kept, as two strands, and what becomes of each. One that stays keeps a box
     away from all that is not known to be free; one that slides goes where it is shorter nearby.
     Assumes: a tether that neither sinks nor drifts. Under a planar protocol it lies in one way.
-    Fails when: there are more ways than `WAYS`. The longest are kept, and the shortest.
+    Fails when: one that stays is hardly longer than one that slides, as on something shallow: only the second
+    is kept, and the tether may stay all the same. Of more ways than `WAYS` the longest are kept, and the
+    shortest.
     """
 
     ways: tuple[Strand, ...]
