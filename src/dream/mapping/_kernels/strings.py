@@ -28,6 +28,10 @@ LONGEST = 4096
 FIRST: Any = np.int64(0)
 SECOND: Any = np.int64(1)
 """To count from: what takes a literal is compiled for that alone, and once more for all other numbers."""
+ALL: Any = np.int64(0)
+SLIDING: Any = np.int64(1)
+LAST_ALONE: Any = np.int64(2)
+"""Corners that are pulled tight; all of them in the first two cases, and what they lie over in the second."""
 TOUCH = 1e-6
 """Of a box: what lies nearer to its side is on it."""
 SETTLED, CLOSED = 1, 2
@@ -355,7 +359,7 @@ def tighten(water, points):
         if _way_to_first(water, _at(points, i - 1), _at(points, i)) < 1.0:
             points = _released(water, points)
             break
-    return _pulled(water, points, False)
+    return _pulled(water, points, ALL)
 
 
 @njit(cache=True, nogil=True)
@@ -369,7 +373,7 @@ def slide(water, points):
     Returns:
         (m, 3) its vertices.
     """
-    return _pulled(water, points, True)
+    return _pulled(water, points, SLIDING)
 
 
 @njit(cache=True, nogil=True)
@@ -383,32 +387,23 @@ def tighten_end(water, points):
     Returns:
         (m, 3) its vertices.
     """
-    count = len(points)
-    chain = np.empty((count + PASSES, 3))
-    for i in range(count):
-        _put(chain, i, _at(points, i))
-    length = _length(chain, count)
-    for _ in range(PASSES):
-        if count < 3:
-            break
-        count = _cut(water, chain, count, count - 2)
-        shorter = _length(chain, count)
-        if shorter > length - GAIN:
-            break
-        length = shorter
-    return chain[:count].copy()
+    return _pulled(water, points, LAST_ALONE)
 
 
 @njit(cache=True, nogil=True)
-def _pulled(water, points, slides):
+def _pulled(water, points, corners):
+    """A string of which some corners are pulled tight until it gets no shorter."""
     count = len(points)
     chain = np.empty((4 * count + 256, 3))
     for i in range(count):
         _put(chain, i, _at(points, i))
     length = _length(chain, count)
     for _ in range(PASSES):
-        count = _cut_all(water, chain, count)
-        if slides:
+        if corners != LAST_ALONE:
+            count = _cut_all(water, chain, count)
+        elif count > 2:
+            count = _cut(water, chain, count, count - 2)
+        if corners == SLIDING:
             for i in range(1, count - 1):
                 _slide(water, chain, i)
         shorter = _length(chain, count)
