@@ -138,32 +138,45 @@ def test_in_space_it_goes_over_a_wall_the_short_way() -> None:
     assert exact <= strand.length <= exact + 0.75
 
 
-def boulder(height: float) -> StrandWater:
-    """A pyramid with its foot of 8 m around the middle, on the ground at z = 0; and water to z = 5."""
+def boulder(height: float, foot: float = 4.0) -> StrandWater:
+    """A pyramid so high, with its foot so far from the middle, on the ground at z = 0; and water to z = 5."""
     at = np.arange(-HALF + 0.5 * CELL, HALF, CELL)
     east, north = np.meshgrid(at, at)
-    top = height * (1.0 - np.maximum(abs(east), abs(north)) / 4.0)
+    top = height * (1.0 - np.maximum(abs(east), abs(north)) / foot)
     levels = np.arange(0.5 * CELL, 5.0, CELL)
     free = (levels[:, None, None] > top[None]).astype(np.uint8)
     return StrandWater.of(FreeWater(free, np.array([-HALF, -HALF, 0.0]), np.full(3, CELL)))
 
 
 def test_what_it_lies_over_it_may_stay_on_or_slide_off() -> None:
-    water = boulder(3.0)
-    over = [(-8.0, 1.5, 3.5), (8.0, 1.5, 3.5), (8.0, 1.5, 0.5), (8.0, 4.5, 0.5)]
-    lies = Strands.at((-8.0, 1.5, 0.5))
+    water = boulder(4.0, 2.0)
+    over = [(-8.0, 0.5, 4.5), (8.0, 0.5, 4.5), (8.0, 0.5, 0.5), (8.0, 3.5, 0.5)]
+    lies = Strands.at((-8.0, 0.5, 0.5))
     for place in over:
         lies = lies.to(place, water)
     straight = math.hypot(16.0, 3.0)
     assert lies.ways[-1].length <= straight + 0.25
-    assert lies.ways[0].points[:, 2].max() > 1.5
-    assert lies.length > straight + 0.5
-    # Had it slid off to the north, going back as it came would wind it round the boulder.
-    for place in [*over[-2::-1], (-8.0, 1.5, 0.5)]:
+    assert lies.ways[0].points[:, 2].max() > 2.5
+    assert lies.length > straight + 1.0
+    # Held there, it comes in as it went out; slid off to the north, that winds it round the boulder.
+    for place in [*over[-2::-1], (-8.0, 0.5, 0.5)]:
         lies = lies.to(place, water)
     assert lies.ways[-1].length == pytest.approx(0.0, abs=1e-6)
-    assert lies.length > 20.0
-    assert lies.turns > 0.5
+    assert lies.length > 16.0
+    assert lies.turns > 0.4
+
+
+def test_the_more_friction_the_less_it_slides() -> None:
+    rng, water, strand = np.random.default_rng(2), boulder(3.0).free, Strand.at((-8.0, 0.0, 0.5))
+    lengths = []
+    for x, y in rng.uniform(-10.0, 10.0, (60, 2)):
+        for place in [(x, y, 4.5), (x, y, 0.5)][: 2 if max(abs(x), abs(y)) > 4.5 else 1]:
+            strand = strand.to(place, water)
+            lengths.append([strand.slid(water, friction).length for friction in (0.0, 0.5, math.inf)])
+    slid, held, stays = np.array(lengths).T
+    assert (slid <= held + 0.01).all()
+    assert (held <= stays + 0.01).all()
+    assert min((held > slid + 0.1).mean(), (stays > held + 0.1).mean()) > 0.3
 
 
 def test_of_ways_to_lie_the_longest_and_the_shortest_are_kept() -> None:
@@ -287,9 +300,8 @@ def test_who_is_back_where_the_tether_may_be_in_is_home(monkeypatch: pytest.Monk
     assert held.may_be_in(back, 0.0, occupancy)
     assert not held.may_be_in(SE2(2.0, -4.0, 0.0), 0.0, occupancy)
     # Before it goes home for good, what may be out counts.
-    over, out = held.left_out(held.lies, back, 0.0, occupancy)
-    assert over == 0.0
-    assert out > 10.0
+    assert not held.comes_in(held.lies, back, 0.0, occupancy)
+    assert held.comes_in(Strands.at(held.anchor), back, 0.0, occupancy)
 
 
 def test_a_way_back_for_which_there_is_not_enough_is_the_last(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -327,11 +339,10 @@ def test_to_and_fro_leaves_no_trail() -> None:
     assert out.then((0.1, 0.1, 0.0), 0.25).points.tolist() == [[0.0, 0.0, 0.0], [0.1, 0.1, 0.0]]
 
 
-def test_it_is_led_to_a_place_once() -> None:
+def test_it_counts_how_often_it_is_led_to_a_place() -> None:
     held = TetherKeeper(40.0, (0.0, 0.0, 0.0))
-    assert held.leads_anew((5.0, 0.0, 0.0))
-    assert not held.leads_anew((5.5, 0.5, 0.0))
-    assert held.leads_anew((5.0, 3.0, 0.0))
+    assert [held.times_led(place) for place in [(5.0, 0.0, 0.0), (5.5, 0.5, 0.0)]] == [1, 2]
+    assert held.times_led((5.0, 3.0, 0.0)) == 1
 
 
 # ---------------------------------------------------------------------------------------------- missions

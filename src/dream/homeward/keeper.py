@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 
 SURPRISE = 0.15
 """Share by which a way may become longer since something solid shows in it: it was free by the map only."""
-ALIKE = 0.1
-"""Metres of tether that one way back may leave out more than another that is as good."""
+ASKED = 5
+"""Times that a place may be asked for to which no way leads that the tether allows, before it goes home."""
 COMPLETE = "the mission is complete"
 """Why a mission goes home that has nothing left to do."""
 CRUISE_W = 100.0
@@ -39,8 +39,9 @@ class Homeward:
     the position may err. Else the mission turns round, and goes home from then on. A place to go home to that
     no known way leads to is replaced by where the mission began. Where no way is known at all, one is
     reckoned to take what all moves took so far. A tether must be neither too long nor wound too far after a
-    move: else it leads there by a way on which it is not, back along the tether first, and where there is
-    none, home.
+    move, and come in on a known way: else it leads there by a way on which it does, back along the tether
+    first; where there is none, a few moves back. Where the map changes so that it comes in on no known way, it
+    goes back as it came until it does.
 
     Fails when: what was free turns out to be solid, so that no known way leads home. It goes back as it came
     then, and where that fails too it looks around, until a way is known.
@@ -81,6 +82,9 @@ class Homeward:
     """That it drags."""
     _unwinds_to: Place | None = None
     """Where it was asked to go, to which it leads by another way; None while it leads nowhere."""
+    _recovers: bool = False
+    """Does it go back as it came, since the map has changed so that on no known way all of the tether comes
+    in?"""
 
     @classmethod
     def of(
@@ -102,7 +106,7 @@ class Homeward:
     @property
     def leads(self) -> bool:
         """Does it say where to go, in the planner's place?"""
-        return bool(self.why) or self._unwinds_to is not None
+        return bool(self.why) or self._unwinds_to is not None or self._recovers
 
     def affords(self, move: Decision, seen: Observation, occupancy: OccupancyMap, steps: int) -> bool:
         """Does the way home stay affordable when a move is made? Else it goes home from now on.
@@ -123,9 +127,7 @@ class Homeward:
             before = self.tether.lies
             (lies,) = self.tether.along([move], before, seen.pose, seen.z, occupancy)
             too_far = self.tether.over(lies, before, back=self._unwinds_to is not None) > 0.0
-            over, out = self.tether.left_out(lies, pose, z, occupancy)
-            over_now, out_now = self.tether.left_out(before, seen.pose, seen.z, occupancy)
-            if too_far or over > over_now + 1e-3 or out > out_now + ALIKE:
+            if not self._recovers and (too_far or not self.tether.comes_in(lies, pose, z, occupancy)):
                 self._unwind(self.tether.place(pose, z, occupancy), seen, occupancy)
                 return False
         waited = self._waited if self.ticking else self._waited + move.waited
@@ -146,30 +148,32 @@ class Homeward:
         return short is None
 
     def _unwind(self, place: Place, seen: Observation, occupancy: OccupancyMap) -> None:
-        """Lead to a place by a way that the tether allows; one move back along it where there is none.
+        """Lead to a place by a way that the tether allows; back along it where there is none.
 
         Planners are told then to go elsewhere.
         """
         assert self.tether is not None
         here = self.tether.place(seen.pose, seen.z, occupancy)
-        was_led, anew = self._unwinds_to is not None, self.tether.leads_anew(place)
-        self._unwinds_to = self._unwinds_to or place
-        if anew and not was_led and self._way_now(seen, occupancy):
+        was_led, times = self._unwinds_to is not None, self.tether.times_led(place)
+        self._unwinds_to, back = self._unwinds_to or place, 1
+        if times == 1 and not was_led and self._way_now(seen, occupancy):
             return
         if self.tether.close(self._unwinds_to, here, occupancy):
             occupancy.hold(self.tether.leash)
-        elif not (anew or was_led):
-            # A place that it came along stays open, and may be asked for again.
+        elif times > 1 and not was_led:
+            # A place that it came along stays open, and may be asked for again: from farther off each time.
             if self._way_now(seen, occupancy):
                 return
-            self.why = f"no way that a tether of {self.tether.metres:g} m allows leads where it was to go"
+            back = times
+            if times > ASKED:
+                self.why = f"no way that a tether of {self.tether.metres:g} m allows leads where it was to go"
         self._unwinds_to = self.start
         if self._way_now(seen, occupancy) is None:
             self.why = f"no way that a tether of {self.tether.metres:g} m allows leads back"
         if self.why:
             self._unwinds_to = None
         else:
-            del self.tether.plan[1:]
+            del self.tether.plan[back:]
 
     def _short(
         self, move: Decision, way: list[Decision] | None, seen: Observation, steps: int, waited: float
@@ -184,6 +188,12 @@ class Homeward:
 
     def move(self, seen: Observation, occupancy: OccupancyMap) -> Decision:
         """The next move of the way home, or of the way to where the planner asked to go."""
+        if self.tether is not None and self._recovers and not self.why:
+            move = self.tether.move_back(seen, occupancy)
+            if move is not None:
+                told = "Going back as it came, until a way is known on which all of the tether comes in."
+                return replace(move, reasoning=Reasoning(action=told))
+            self.why = f"no way is known on which all of a tether of {self.tether.metres:g} m comes in"
         way = self._way_now(seen, occupancy)
         if way is None:
             back = None
@@ -199,7 +209,7 @@ class Homeward:
         if self.why:
             told = f"Going home, {len(way)} steps away: {self.why}."
         elif self._unwinds_to == self.start:
-            told = "Going a step back along the tether: no way that it allows leads there."
+            told = f"Going {len(way)} steps back along the tether: no way that it allows leads there."
         else:
             told = f"Going {len(way)} steps back along the tether and round: it would be too long, or wound."
         return replace(way[0] if way else Decision(), reasoning=Reasoning(action=told))
@@ -245,6 +255,10 @@ class Homeward:
         self.why = self.why or seen.trouble or (COMPLETE if complete else "")
         self._steps = steps
         self._keep_trail(node_of(seen.pose, seen.z, occupancy.protocol))
+        if self.tether is not None and not self.why:
+            self._recovers = not self.tether.comes_in(self.tether.lies, seen.pose, seen.z, occupancy)
+            if self._recovers:
+                self._unwinds_to, self.tether.plan = None, []
         if self.why:
             self._unwinds_to = None
             way = self._way_now(seen, occupancy)

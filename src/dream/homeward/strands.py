@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -21,6 +21,10 @@ BEND = 0.25
 SLIP = 0.1
 """Metres by which a string has to get shorter where it slides off what it lies over: less makes no other way
 to lie."""
+FRICTION = 0.5
+"""Coefficient on what a tether lies over: more holds it where it rarely stays, less lets go what does."""
+NEAR = 0.25
+"""Metres within which the vehicle is where it was."""
 ASIDE = 0.75
 """Metres within which two strings lie alike."""
 SAMPLES = 48
@@ -66,6 +70,9 @@ class Strand:
 
     points: FloatArray
     """(n, 3) x, y and z of its vertices, metres in the world: from the anchor to the vehicle."""
+    was: Strand | None = None
+    """How it lay before the vehicle's last move, and lies again once that is taken back; None where it slid
+    off something meanwhile, which it need not slide back over."""
 
     @classmethod
     def at(cls, anchor: Place) -> Strand:
@@ -78,24 +85,25 @@ class Strand:
 
         return Strand(tighten(water, np.vstack([self.points, place])))
 
-    def held(self, place: Place, water: FreeWater) -> Strand:
-        """Likewise; held wherever it lies but at the end."""
-        from dream.mapping._kernels.strings import tighten_end
-
-        return Strand(tighten_end(water, np.vstack([self.points, place])))
-
-    def slid(self, water: FreeWater) -> Strand:
-        """Once it has slid off what it lies over, to where it is shorter nearby."""
+    def slid(self, water: FreeWater, friction: float = 0.0) -> Strand:
+        """Once it has slid off what it lies over, to where it is shorter nearby, against some friction."""
         from dream.mapping._kernels.strings import slide
 
-        return Strand(slide(water, self.points))
+        return Strand(slide(water, self.points, friction))
 
     def then(self, place: Place, near: float = 0.0) -> Strand:
-        """With a place more, not pulled taut; without the last where it is back so near the one before."""
+        """With a place more, not pulled taut, unless that is so near the last; without the last where it is
+        so near the one before."""
         count = len(self.points)
+        if math.dist(self.points[-1], place) <= near:
+            return self
         if count > 1 and math.dist(self.points[-2], place) < near:
             count = max(count - 2, 1)
         return Strand(np.vstack([self.points[:count], place]))
+
+    def ends_at(self, place: Place) -> bool:
+        """Is its end there?"""
+        return math.dist(self.points[-1], place) < NEAR
 
     @cached_property
     def length(self) -> float:
@@ -141,11 +149,11 @@ class Strands:
 
     What it does: what lies over something may stay there or slide off, which depends on friction and on what
     is finer than the map. Both are kept, as two strands, and what becomes of each. One that stays keeps a box
-    away from all that is not known to be free; one that slides goes where it is shorter nearby.
+    away from all that is not known to be free, and is held by friction; one that slides goes where it is
+    shorter nearby. Once the vehicle takes its last move back, what did not slide lies again as it did.
     Assumes: a tether that neither sinks nor drifts. Under a planar protocol it lies in one way.
-    Fails when: one that stays is hardly longer than one that slides, as on something shallow: only the second
-    is kept, and the tether may stay all the same. Of more ways than `WAYS` the longest are kept, and the
-    shortest.
+    Fails when: it lies over something that the map does not show. Of more ways than `WAYS` the longest are
+    kept, and the shortest.
     """
 
     ways: tuple[Strand, ...]
@@ -160,16 +168,20 @@ class Strands:
         """Once the vehicle has moved straight to a place."""
         found: list[Strand] = []
         for strand in self.ways:
-            taut, slid = strand.to(place, water.clear), strand.to(place, water.free).slid(water.free)
-            found.append(slid)
-            if water.level:
+            if not water.level and strand.was is not None and strand.was.ends_at(place):
+                found.append(strand.was)
                 continue
-            if taut.length - slid.length > SLIP:
-                found.append(taut)
-            # A taut string gets shorter by no more than the way of its end, unless it comes off something.
-            way = math.dist(strand.points[-1].tolist(), place)
-            if taut.length < strand.length - way - SLIP:
-                found.append(strand.held(place, water.clear))
+            pulled = strand.to(place, water.free)
+            slid = pulled.slid(water.free)
+            if water.level:
+                found.append(slid)
+                continue
+            slid = replace(slid, was=strand if pulled.length - slid.length <= SLIP else None)
+            pulled = strand.to(place, water.clear)
+            held = pulled.slid(water.clear, FRICTION)
+            found.append(replace(held, was=strand if pulled.length - held.length <= SLIP else None))
+            if held.length - slid.length > SLIP:
+                found.append(slid)
         found.sort(key=lambda one: -one.length)
         kept: list[Strand] = []
         for one in found:

@@ -79,6 +79,11 @@ class _Back:
     def cost(self) -> tuple[float, int, float]:
         return self.over, self.short, self.out
 
+    @property
+    def comes_in(self) -> bool:
+        """All of it, however it lies, within its limits."""
+        return not (self.over or self.out)
+
 
 @dataclass(slots=True, eq=False)
 class TetherKeeper:
@@ -89,8 +94,9 @@ class TetherKeeper:
     lies: Strands = field(init=False)
     """How it may lie."""
     trail: Strand = field(init=False)
-    """The last way on which all of it would have come in, and the way from there: one of the body, at
-    the side of the tether, which itself passes where the body does not fit."""
+    """Where it came along, but for what it went to and straight back; up to where it was last sure how it
+    lies, the shortest way on which all of it would have come in: one of the body, at the side of the tether,
+    which itself passes where the body does not fit."""
     sigma: float = 0.0
     """Metres by which the position may err."""
     plan: list[tuple[SE2, float, Decision]] = field(default_factory=list)
@@ -241,11 +247,15 @@ class TetherKeeper:
                 return [*back.moves[: k + 1], *on]
         return None
 
-    def left_out(self, tether: Strands, pose: SE2, z: float, occupancy: OccupancyMap) -> tuple[float, float]:
-        """How far it is beyond its limits on the best way back, as a share of them, and how many metres stay
-        out at its end; both 0 where a way is known on which all of it comes in, however it lies."""
+    def comes_in(self, tether: Strands, pose: SE2, z: float, occupancy: OccupancyMap) -> bool:
+        """Is a way back known on which all of it comes in, however it lies, within its limits?"""
         back = self._way_back(tether, pose, z, occupancy)
-        return (math.inf, math.inf) if back is None else (back.over, back.out)
+        return back is not None and back.comes_in
+
+    def move_back(self, seen: Observation, occupancy: OccupancyMap) -> Decision | None:
+        """The next move back as it came; None at the start, and where that is free no more."""
+        moves = self._as_it_came(self.trail, seen.pose, seen.z, occupancy)
+        return moves[0] if moves else None
 
     def may_be_in(self, pose: SE2, z: float, occupancy: OccupancyMap) -> bool:
         """Is the vehicle back where nothing of the tether need be out?"""
@@ -272,11 +282,10 @@ class TetherKeeper:
             self.closed.append((place, radius))
         return radius > 0.0
 
-    def leads_anew(self, place: Place) -> bool:
-        """Is it led to a place for the first time? Else it might be led to and fro for ever."""
-        anew = all(math.dist(place, other) > AGAIN for other in self.led)
+    def times_led(self, place: Place) -> int:
+        """How often it was led to a place, this time with them: it might be led to and fro for ever."""
         self.led.append(place)
-        return anew
+        return sum(math.dist(place, other) <= AGAIN for other in self.led)
 
     def _way_on(
         self, tether: Strands, pose: SE2, z: float, occupancy: OccupancyMap, goal: Place, trail: Strand
@@ -293,7 +302,7 @@ class TetherKeeper:
         for move in moves:
             pose, z = after(pose, z, move, occupancy)
         back = self._way_back(lies, pose, z, occupancy, trail=trail)
-        return None if back is None or back.over or back.out else moves
+        return moves if back is not None and back.comes_in else None
 
     def _way_back(
         self,
@@ -301,23 +310,24 @@ class TetherKeeper:
         pose: SE2,
         z: float,
         occupancy: OccupancyMap,
-        affords: Affords | None = None,
+        affords: Affords = lambda moves: True,
         trail: Strand | None = None,
     ) -> _Back | None:
         """A way on which nothing of it stays out; where none is known, that on which it is the least beyond
         its limits, and of those where the least stays out.
 
         The way leads beside the tether, or beside a trail, that of the mission and on to there unless given;
-        from here it is the trail from then on.
+        from here it is the trail from then on, where it is known for sure how the tether lies on it.
         """
         self._known(occupancy)
         asked = tether, pose, z, trail or self.trail
         if asked not in self._backs:
             self._backs[asked] = self._find_back(*asked, occupancy, lambda moves: True)
         back = self._backs[asked]
-        if affords is not None and back is not None and not affords(back.moves):
+        if back is not None and not affords(back.moves):
             back = self._find_back(*asked, occupancy, affords)
-        if back is not None and tether is self.lies and not (back.over or back.out):
+        sure = back is not None and all(len(lies.ways) == 1 for lies in (tether, *back.lies))
+        if back is not None and tether is self.lies and back.comes_in and sure:
             self.trail = self._trail(back.moves, pose, z, occupancy)
         return back
 

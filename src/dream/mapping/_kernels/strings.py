@@ -28,10 +28,6 @@ LONGEST = 4096
 FIRST: Any = np.int64(0)
 SECOND: Any = np.int64(1)
 """To count from: what takes a literal is compiled for that alone, and once more for all other numbers."""
-ALL: Any = np.int64(0)
-SLIDING: Any = np.int64(1)
-LAST_ALONE: Any = np.int64(2)
-"""Corners that are pulled tight; all of them in the first two cases, and what they lie over in the second."""
 TOUCH = 1e-6
 """Of a box: what lies nearer to its side is on it."""
 SETTLED, CLOSED = 1, 2
@@ -187,8 +183,21 @@ def _cut(water, chain, count, i):
 
 
 @njit(cache=True, nogil=True)
-def _slide(water, chain, i):
-    """Move a vertex to where the string is shorter beside it, also out of the plane of its neighbours."""
+def _pull(a, here, c):
+    """The pull of a string on a vertex between two others, as a share of its tension."""
+    first, last = _apart(a, here), _apart(here, c)
+    if first == 0.0 or last == 0.0:
+        return 0.0
+    return _apart(_on(here, a, 1.0 / first), _on(c, here, 1.0 + 1.0 / last))
+
+
+@njit(cache=True, nogil=True)
+def _slide(water, chain, i, friction):
+    """Move a vertex to where the string is shorter beside it, also out of the plane of its neighbours.
+
+    It slides where its pull that way, the metres by which the string gets shorter for each that the vertex
+    moves, is more than its friction under the whole of its pull (Coulomb's law).
+    """
     a, here, c = _at(chain, i - 1), _at(chain, i), _at(chain, i + 1)
     if not _is_free(water, a, here, c):
         return
@@ -197,7 +206,8 @@ def _slide(water, chain, i):
     for _ in range(3):
         moved = True
         while moved:
-            moved, middle = False, here
+            moved, middle, longest = False, here, least
+            held = friction * _pull(a, here, c)
             for n in range(27):
                 to = (
                     middle[0] + (n % 3 - 1) * reach,
@@ -205,7 +215,7 @@ def _slide(water, chain, i):
                     middle[2] + (n // 9 - 1) * reach,
                 )
                 length = _apart(a, to) + _apart(to, c)
-                if length > least - GAIN:
+                if length > least - GAIN or length > longest - held * _apart(middle, to):
                     continue
                 if _is_free(water, a, to, c) and _is_free(water, a, _on(middle, to, 0.5), c):
                     here, least, moved = to, length, True
@@ -359,53 +369,37 @@ def tighten(water, points):
         if _way_to_first(water, _at(points, i - 1), _at(points, i)) < 1.0:
             points = _released(water, points)
             break
-    return _pulled(water, points, ALL)
+    return _pulled(water, points, math.inf)
 
 
 @njit(cache=True, nogil=True)
-def slide(water, points):
+def slide(water, points, friction):
     """A string pulled tight that slides off what it lies over, to where it is shorter nearby.
 
     Args:
         water: Where it may lie.
         points: (n, 3) its vertices, pulled tight; the ends stay.
+        friction: Its coefficient on what it lies over.
 
     Returns:
         (m, 3) its vertices.
     """
-    return _pulled(water, points, SLIDING)
+    return _pulled(water, points, friction)
 
 
 @njit(cache=True, nogil=True)
-def tighten_end(water, points):
-    """A string of which the last corner alone is pulled tight, and what corner is the last then.
-
-    Args:
-        water: Where it may lie.
-        points: (n, 3) its vertices; the ends stay.
-
-    Returns:
-        (m, 3) its vertices.
-    """
-    return _pulled(water, points, LAST_ALONE)
-
-
-@njit(cache=True, nogil=True)
-def _pulled(water, points, corners):
-    """A string of which some corners are pulled tight until it gets no shorter."""
+def _pulled(water, points, friction):
+    """A string pulled tight until it gets no shorter; nothing slides where the friction is infinite."""
     count = len(points)
     chain = np.empty((4 * count + 256, 3))
     for i in range(count):
         _put(chain, i, _at(points, i))
     length = _length(chain, count)
     for _ in range(PASSES):
-        if corners != LAST_ALONE:
-            count = _cut_all(water, chain, count)
-        elif count > 2:
-            count = _cut(water, chain, count, count - 2)
-        if corners == SLIDING:
+        count = _cut_all(water, chain, count)
+        if friction < math.inf:
             for i in range(1, count - 1):
-                _slide(water, chain, i)
+                _slide(water, chain, i, friction)
         shorter = _length(chain, count)
         if shorter > length - GAIN:
             break
