@@ -6,12 +6,14 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from dream.cli import run_command
 from dream.commands.homing import Homing
+from dream.control import guard
 from dream.evaluation.runner import simulate
 from dream.geometry import SE2, Bounds, FloatArray
 from dream.homeward import Budget, tether
@@ -27,7 +29,7 @@ from dream.recording import read_steps, read_summary
 from dream.robots.bluerov2.standin.rig import Rig
 from dream.sim.world import World
 from dream.sim.worlds import make_world
-from dream.types import BoolArray, Decision, Step
+from dream.types import BoolArray, Decision, Guarded, Step
 from tests.robots.bluerov2 import rigged
 
 CELL = 0.25
@@ -164,6 +166,40 @@ def test_what_it_lies_over_it_may_stay_on_or_slide_off() -> None:
     assert lies.ways[-1].length == pytest.approx(0.0, abs=1e-6)
     assert lies.length > 16.0
     assert lies.turns > 0.4
+
+
+def test_once_a_move_is_taken_back_it_lies_as_it_did() -> None:
+    water, places = boulder(4.0, 2.0), [(-8.0, 0.5, 4.5), (8.0, 0.5, 4.5), (8.0, 0.5, 0.5)]
+    lies = Strands.at((-8.0, 0.5, 0.5))
+    lay = [lies := lies.to(place, water) for place in places]
+    # Turns on the spot in between change nothing.
+    for _ in range(3):
+        lies = lies.to(places[-1], water)
+        assert [one.was for one in lies.ways] == [one.was for one in lay[-1].ways]
+    for before in lay[-2::-1]:
+        (lay_so,), place = before.ways, before.ways[0].points[-1].tolist()
+        lies = lies.to(tuple(place), water)
+        assert any(np.array_equal(one.points, lay_so.points) for one in lies.ways)
+    # What slid off is pulled taut from where it lies now; what shows to be solid is not lain through again.
+    strand = replace(lay[2].ways[0], was=None)
+    assert strand.taken_back(places[1], water.free) is None
+    wall = water.free.free.copy()
+    wall[:, :, 48] = 0
+    assert lay[2].ways[0].taken_back(places[1], water.free) is not None
+    assert lay[2].ways[0].taken_back(places[1], water.free._replace(free=wall)) is None
+
+
+def test_what_comes_off_something_does_not_lie_over_it_again() -> None:
+    before, after_it = (
+        Strand(np.array([(0.0, 0.0, 0.0), bend, (4.0, 0.0, 0.0)]))
+        for bend in [(2.0, 3.0, 0.0), (2.0, 0.5, 0.0)]
+    )
+    stays = before.after_move(before, before)
+    assert stays.was is None
+    moved = Strand(before.points + np.array([(0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (1.0, 0.0, 0.0)]))
+    assert before.after_move(moved, moved).was is before
+    assert before.after_move(moved, after_it).was is None
+    assert before.after_move(after_it, after_it).was is None
 
 
 def test_the_more_friction_the_less_it_slides() -> None:
@@ -391,6 +427,55 @@ def test_a_mission_keeps_to_its_tether_and_comes_home_along_it(
     if home is None:
         assert next(one.way for one in last.home.balances if one.name == "tether") <= 1.0
     assert not any(step.arrival.collided for step in steps)
+
+
+@pytest.mark.parametrize("lasts", [True, False])
+def test_where_the_map_leaves_no_way_on_which_it_comes_in_it_goes_back_as_it_came(
+    reef: World, monkeypatch: pytest.MonkeyPatch, lasts: bool
+) -> None:
+    asked, sure = 0, TetherKeeper.comes_in
+
+    def comes_in(held: TetherKeeper, lies: Strands, pose: SE2, z: float, occupancy: OccupancyMap) -> bool:
+        nonlocal asked
+        asked += 1
+        unsure = asked > 16 and (lasts or asked < 19)
+        return not unsure and sure(held, lies, pose, z, occupancy)
+
+    monkeypatch.setattr(TetherKeeper, "comes_in", comes_in)
+    steps = flown(reef, 40, Budget(tether_m=40.0))
+    told = [step.decision.reasoning.action.startswith("Going back as it came") for step in steps]
+    first = told.index(True)
+    assert first > 5
+    places = [(round(step.observation.pose.x, 2), round(step.observation.pose.y, 2)) for step in steps]
+    came, back = places[:first], places[first - 1 :]
+    assert back[1] in came
+    if lasts:
+        assert steps[-1].ended == "returned"
+        assert steps[-1].home is not None
+        assert steps[-1].home.why == "no way is known on which all of a tether of 40 m comes in"
+        turned_at = list(dict.fromkeys(back))
+        assert turned_at == list(dict.fromkeys(came))[::-1][: len(turned_at)]
+        assert places[-1] == places[0]
+    else:
+        assert sum(told) <= 3
+        assert not any(step.home.why for step in steps[: first + 4] if step.home)
+
+
+def test_a_trail_that_is_blocked_far_off_is_gone_back_along_to_there(monkeypatch: pytest.MonkeyPatch) -> None:
+    held, pose, occupancy = wound(6, monkeypatch)
+    x, y, _ = held.trail.points[2].tolist()
+    whole = list(held.moves_back(held.trail, pose, 0.0, occupancy))
+    assert None not in whole
+
+    def blocked(move: Decision, pose: SE2, occupancy: OccupancyMap, *rest: Any) -> Guarded:
+        to, _ = after(pose, 0.0, move, occupancy)
+        return guard(move if math.hypot(to.x - x, to.y - y) > 0.5 else Decision(), pose, occupancy, *rest)
+
+    monkeypatch.setattr(tether, "guard", blocked)
+    cut = list(held.moves_back(held.trail, pose, 0.0, occupancy))
+    assert cut[-1] is None
+    assert 2 < len(cut) < len(whole)
+    assert cut[:-1] == whole[: len(cut) - 1]
 
 
 def test_a_tether_that_is_never_taut_changes_nothing(reef: World) -> None:

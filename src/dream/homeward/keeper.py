@@ -40,8 +40,8 @@ class Homeward:
     no known way leads to is replaced by where the mission began. Where no way is known at all, one is
     reckoned to take what all moves took so far. A tether must be neither too long nor wound too far after a
     move, and come in on a known way: else it leads there by a way on which it does, back along the tether
-    first; where there is none, a few moves back. Where the map changes so that it comes in on no known way, it
-    goes back as it came until it does.
+    first; where there is none, a few moves back. Where the map changes so that it comes in on no known way,
+    it goes back as it came until it does.
 
     Fails when: what was free turns out to be solid, so that no known way leads home. It goes back as it came
     then, and where that fails too it looks around, until a way is known.
@@ -160,13 +160,13 @@ class Homeward:
             return
         if self.tether.close(self._unwinds_to, here, occupancy):
             occupancy.hold(self.tether.leash)
+        elif times > ASKED:
+            self.why = f"no way that a tether of {self.tether.metres:g} m allows leads where it was to go"
         elif times > 1 and not was_led:
             # A place that it came along stays open, and may be asked for again: from farther off each time.
             if self._way_now(seen, occupancy):
                 return
             back = times
-            if times > ASKED:
-                self.why = f"no way that a tether of {self.tether.metres:g} m allows leads where it was to go"
         self._unwinds_to = self.start
         if self._way_now(seen, occupancy) is None:
             self.why = f"no way that a tether of {self.tether.metres:g} m allows leads back"
@@ -256,9 +256,12 @@ class Homeward:
         self._steps = steps
         self._keep_trail(node_of(seen.pose, seen.z, occupancy.protocol))
         if self.tether is not None and not self.why:
+            did, place = self._recovers, self.tether.place(seen.pose, seen.z, occupancy)
             self._recovers = not self.tether.comes_in(self.tether.lies, seen.pose, seen.z, occupancy)
             if self._recovers:
                 self._unwinds_to, self.tether.plan = None, []
+                if not did:
+                    self.tether.times_led(place)
         if self.why:
             self._unwinds_to = None
             way = self._way_now(seen, occupancy)

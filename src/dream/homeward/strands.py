@@ -105,6 +105,22 @@ class Strand:
         """Is its end there?"""
         return math.dist(self.points[-1], place) < NEAR
 
+    def taken_back(self, place: Place, water: FreeWater) -> Strand | None:
+        """How it lies again at a place where the vehicle was before its last move; None where it may not."""
+        from dream.mapping._kernels.strings import is_free
+
+        if self.was is None or self.ends_at(place) or not self.was.ends_at(place):
+            return None
+        points = np.vstack([self.was.points[: max(len(self.was.points) - 1, 1)], place])
+        return Strand(points, self.was.was) if is_free(water, points) else None
+
+    def after_move(self, pulled: Strand, lies: Strand) -> Strand:
+        """As it lies after a move, once it was pulled taut and slid; known to be as it lay before, unless it
+        came off something."""
+        way = math.dist(self.points[-1], lies.points[-1])
+        came_off = max(pulled.length, self.length - way) - lies.length > SLIP
+        return replace(lies, was=None if came_off else self.was if way < NEAR else self)
+
     @cached_property
     def length(self) -> float:
         """Metres that are out."""
@@ -168,18 +184,18 @@ class Strands:
         """Once the vehicle has moved straight to a place."""
         found: list[Strand] = []
         for strand in self.ways:
-            if not water.level and strand.was is not None and strand.was.ends_at(place):
-                found.append(strand.was)
+            if water.level:
+                found.append(strand.to(place, water.free).slid(water.free))
+                continue
+            back = strand.taken_back(place, water.free)
+            if back is not None:
+                found.append(back)
                 continue
             pulled = strand.to(place, water.free)
-            slid = pulled.slid(water.free)
-            if water.level:
-                found.append(slid)
-                continue
-            slid = replace(slid, was=strand if pulled.length - slid.length <= SLIP else None)
+            slid = strand.after_move(pulled, pulled.slid(water.free))
             pulled = strand.to(place, water.clear)
-            held = pulled.slid(water.clear, FRICTION)
-            found.append(replace(held, was=strand if pulled.length - held.length <= SLIP else None))
+            held = strand.after_move(pulled, pulled.slid(water.clear, FRICTION))
+            found.append(held)
             if held.length - slid.length > SLIP:
                 found.append(slid)
         found.sort(key=lambda one: -one.length)

@@ -254,8 +254,7 @@ class TetherKeeper:
 
     def move_back(self, seen: Observation, occupancy: OccupancyMap) -> Decision | None:
         """The next move back as it came; None at the start, and where that is free no more."""
-        moves = self._as_it_came(self.trail, seen.pose, seen.z, occupancy)
-        return moves[0] if moves else None
+        return next(self.moves_back(self.trail, seen.pose, seen.z, occupancy), None)
 
     def may_be_in(self, pose: SE2, z: float, occupancy: OccupancyMap) -> bool:
         """Is the vehicle back where nothing of the tether need be out?"""
@@ -402,14 +401,21 @@ class TetherKeeper:
         self, trail: Strand, pose: SE2, z: float, occupancy: OccupancyMap
     ) -> list[Decision] | None:
         """Along a trail, place by place."""
-        protocol, moves = occupancy.protocol, list[Decision]()
+        moves = list(self.moves_back(trail, pose, z, occupancy))
+        return None if None in moves else [move for move in moves if move is not None]
+
+    def moves_back(
+        self, trail: Strand, pose: SE2, z: float, occupancy: OccupancyMap
+    ) -> Iterator[Decision | None]:
+        """The moves back along a trail, place by place; None, the last, where no move leads on."""
+        protocol = occupancy.protocol
         for x, y, up in trail.points[::-1].tolist():
             node, turned = node_of(SE2(x, y, 0.0), up, protocol), 0
             while node_of(pose, z, protocol) != node:
                 move = move_to(node, pose, z, protocol) if turned < protocol.headings else None
                 if move is None or guard(move, pose, occupancy, protocol, z).decision != move:
-                    return None
-                moves.append(move)
+                    yield None
+                    return
+                yield move
                 pose, z = after(pose, z, move, occupancy)
                 turned += 1
-        return moves

@@ -113,9 +113,23 @@ def _way_to_first(water, a, b):
 
 
 @njit(cache=True, nogil=True)
-def _is_free(water, a, b, c):
+def _both_free(water, a, b, c):
     """Is the way from one point by another to a third?"""
     return _way_to_first(water, a, b) >= 1.0 and _way_to_first(water, b, c) >= 1.0
+
+
+@njit(cache=True, nogil=True)
+def is_free(water, points):
+    """Does a string lie in free water all along?
+
+    Args:
+        water: Where it may lie.
+        points: (n, 3) its vertices.
+    """
+    free = True
+    for i in range(1, len(points)):
+        free = free and _way_to_first(water, _at(points, i - 1), _at(points, i)) >= 1.0
+    return free
 
 
 @njit(cache=True, nogil=True)
@@ -199,7 +213,7 @@ def _slide(water, chain, i, friction):
     moves, is more than its friction under the whole of its pull (Coulomb's law).
     """
     a, here, c = _at(chain, i - 1), _at(chain, i), _at(chain, i + 1)
-    if not _is_free(water, a, here, c):
+    if not _both_free(water, a, here, c):
         return
     least = _apart(a, here) + _apart(here, c)
     reach = min(water.sides[0], water.sides[1])
@@ -217,7 +231,7 @@ def _slide(water, chain, i, friction):
                 length = _apart(a, to) + _apart(to, c)
                 if length > least - GAIN or length > longest - held * _apart(middle, to):
                     continue
-                if _is_free(water, a, to, c) and _is_free(water, a, _on(middle, to, 0.5), c):
+                if _both_free(water, a, to, c) and _both_free(water, a, _on(middle, to, 0.5), c):
                     here, least, moved = to, length, True
         reach *= 0.5
     _put(chain, i, here)
@@ -365,10 +379,8 @@ def tighten(water, points):
     Returns:
         (m, 3) its vertices.
     """
-    for i in range(1, len(points)):
-        if _way_to_first(water, _at(points, i - 1), _at(points, i)) < 1.0:
-            points = _released(water, points)
-            break
+    if not is_free(water, points):
+        points = _released(water, points)
     return _pulled(water, points, math.inf)
 
 
