@@ -256,6 +256,8 @@ class Homeward:
         self._steps = steps
         self._keep_trail(node_of(seen.pose, seen.z, occupancy.protocol))
         if self.tether is not None and not self.why:
+            if self._recovers and self.tether.may_be_in(seen.pose, seen.z, occupancy):
+                self.tether.take_in()
             did, place = self._recovers, self.tether.place(seen.pose, seen.z, occupancy)
             self._recovers = not self.tether.comes_in(self.tether.lies, seen.pose, seen.z, occupancy)
             if self._recovers:

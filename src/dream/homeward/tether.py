@@ -117,7 +117,7 @@ class TetherKeeper:
     """Ways back from where it lies so, after such a trail, in that water."""
 
     def __post_init__(self) -> None:
-        self.lies, self.trail = Strands.at(self.anchor), Strand.at(self.anchor)
+        self.take_in()
 
     @property
     def leash(self) -> Leash:
@@ -261,6 +261,10 @@ class TetherKeeper:
         protocol, (x, y, up) = occupancy.protocol, self.anchor
         there = node_of(pose, z, protocol) == node_of(SE2(x, y, 0.0), up, protocol)
         return there and min(one.length for one in self.lies.ways) <= HOME
+
+    def take_in(self) -> None:
+        """Nothing of it is out any more: whoever tends it has taken in what was."""
+        self.lies, self.trail = Strands.at(self.anchor), Strand.at(self.anchor)
 
     def close(self, place: Place, here: Place, occupancy: OccupancyMap) -> bool:
         """Let planners no more go near a place that was asked for from here.
