@@ -223,20 +223,23 @@ def fly(task: tuple[Case, str, float | None]) -> list[Flown]:
             ways = {one.name: one.way for one in step.home.balances}
             if "tether" in ways:
                 believed.append((ways["tether"], ways["winding"]))
-            led += not step.home.why and "along the tether" in step.decision.reasoning.action
+            told = step.decision.reasoning.action
+            led += not step.home.why and (
+                "along the tether" in told or told.startswith("Going back as it came")
+            )
     assert true is not None
-    told = scorer.summary()
+    scores = scorer.summary()
     flown = Flown(
         world=case.world,
         seed=case.seed,
         protocol=name,
         tether=metres,
-        ended=told["ended"],
+        ended=scores["ended"],
         why="" if step.home is None else step.home.why,
-        steps=told["steps"],
+        steps=scores["steps"],
         led=led,
-        seen=told["coverage"]["instances"],
-        contacts=told["collisions"],
+        seen=scores["coverage"]["instances"],
+        contacts=scores["collisions"],
         believed=max((one[0] for one in believed), default=None),
         believed_turns=max((one[1] for one in believed), default=None),
         longest=true.longest,
