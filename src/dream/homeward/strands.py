@@ -21,6 +21,8 @@ BEND = 0.25
 SLIP = 0.1
 """Metres by which a string has to get shorter where it slides off what it lies over: less makes no other way
 to lie."""
+SLID = 0.005
+"""Metres by which a string gets shorter where it slides at all: less is the error of pulling it taut."""
 FRICTION = 0.5
 """Coefficient on what a tether lies over: more holds it where it rarely stays, less lets go what does."""
 NEAR = 0.25
@@ -118,7 +120,7 @@ class Strand:
         """As it lies after a move, once it was pulled taut and slid; known to be as it lay before, unless it
         came off something."""
         way = math.dist(self.points[-1], lies.points[-1])
-        came_off = max(pulled.length, self.length - way) - lies.length > SLIP
+        came_off = max(pulled.length, self.length - way) - lies.length > SLID
         return replace(lies, was=None if came_off else self.was if way < NEAR else self)
 
     @cached_property
