@@ -16,7 +16,7 @@ from dream.commands.homing import Homing
 from dream.control import guard
 from dream.evaluation.runner import simulate
 from dream.geometry import SE2, Bounds, FloatArray
-from dream.homeward import Budget, tether
+from dream.homeward import Budget, Homeward, tether
 from dream.homeward.strands import WAYS, Strand, Strands, StrandWater
 from dream.homeward.tether import MOST_TURNS, TetherKeeper
 from dream.homeward.ways import after, way_home
@@ -460,6 +460,21 @@ def test_where_the_map_leaves_no_way_on_which_it_comes_in_it_goes_back_as_it_cam
     else:
         assert (back[-1] == places[0]) == (until == "the start")
         assert max(math.dist(place, places[0]) for place in places[first + sum(told) :]) > 2.0
+
+
+def test_back_at_the_start_as_it_came_what_is_out_is_taken_in(reef: World) -> None:
+    step = flown(reef, 1, Budget(tether_m=40.0))[0]
+    homeward = Homeward.of(Budget(tether_m=40.0), step.observation, 40, step.occupancy, ticking=False)
+    held = homeward.tether
+    assert held is not None
+    away = np.array([(0.0, 0.0, 0.0), (6.0, 0.0, 0.0), (6.0, 6.0, 0.0), (0.0, 0.0, 0.0)])
+    held.lies = Strands((Strand(np.array(held.anchor) + away), Strand.at(held.anchor)))
+    homeward.stands(step.observation, step.occupancy, 1)
+    assert homeward.leads
+    assert held.lies.length > 20.0
+    homeward.stands(step.observation, step.occupancy, 2)
+    assert not homeward.leads
+    assert held.lies.length == 0.0
 
 
 def test_a_trail_that_is_blocked_far_off_is_gone_back_along_to_there(monkeypatch: pytest.MonkeyPatch) -> None:
